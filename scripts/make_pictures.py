@@ -30,8 +30,7 @@ import numpy as np
 from PIL import Image, PngImagePlugin
 
 import hplan
-from hplan.apps.view.figure_style import png_bytes
-from hplan.apps.view.figures import draw_row, draw_study
+from hplan.apps.view.figures import draw_row, draw_study, png_bytes
 from hplan.apps.view.page import render_page
 from hplan.apps.view.playback import Playback, playable
 from hplan.base.files import write_bytes

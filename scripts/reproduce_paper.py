@@ -56,7 +56,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _run(options: argparse.Namespace, console: Console, errors: Console) -> int:
     """Measure, draw and write the requested results."""
-    from hplan.apps.view.figure_style import png_bytes, require_matplotlib
+    from hplan.apps.view.figures import png_bytes, require_matplotlib
 
     if not options.no_figures:
         require_matplotlib()

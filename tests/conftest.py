@@ -15,7 +15,7 @@ from hplan.apps.cli.compile_ahead import compile_from_postprocessing_on, is_firs
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.file import load_scene
 from hplan.scene.model import Scene
-from hplan.trajectory.machine import read_machine
+from hplan.trajectory.timing import read_kinematics
 
 # The same examples in every run, and no limit on the time of one: the first compiles kernels.
 settings.register_profile("hplan", derandomize=True, deadline=None)
@@ -113,4 +113,4 @@ def write(tmp_path):
 
 @pytest.fixture
 def toy(write):
-    return read_machine(write("toy.urdf", urdf()))
+    return read_kinematics(write("toy.urdf", urdf()))[0]

@@ -100,7 +100,7 @@ def shown(page: Path) -> Iterator[tuple[str, str]]:
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if any(shown(page))], ids=lambda page: page.stem)
-def test_a_page_runs(page: Path, clone: Path) -> None:
+def test_page_runs(page: Path, clone: Path) -> None:
     space: dict[str, Any] = {"__name__": "__main__"}
     for language, text in shown(page):
         if language in ("yaml", "xml"):
@@ -124,14 +124,14 @@ def test_a_page_runs(page: Path, clone: Path) -> None:
             assert result.certificate.verified
 
 
-def test_the_readme_is_a_landing_page() -> None:
+def test_readme_is_a_landing_page() -> None:
     (_, block), *_ = blocks(README, "python")
     assert len([line for line in block.splitlines() if line.strip()]) <= 8
     assert len(text_of(README).splitlines()) <= 120
     assert len(text_of(README).split()) < 1000
 
 
-def test_ci_runs_what_the_readme_tells() -> None:
+def test_ci_runs_commands_of_readme() -> None:
     ci = text_of(ROOT / ".ci" / "run")
     lines = re.findall(r"^    (.+)$|`(pip install -e .*?)`", text_of(README), re.MULTILINE)
     told = [part.strip() for line in lines for part in "".join(line).split("&&")]
@@ -144,7 +144,7 @@ def test_ci_runs_what_the_readme_tells() -> None:
 
 
 @pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: page.stem)
-def test_what_a_page_names_is_there(page: Path) -> None:
+def test_names_on_a_page_exist(page: Path) -> None:
     text = text_of(page)
     named = re.findall(r"`((?:docs|hplan|scripts|tests|urdf)/[\w./-]*\w)`", text)
     made = re.compile("docs/_build|NAME")

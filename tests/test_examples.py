@@ -16,7 +16,7 @@ import pytest
 from small_tree import TREE
 
 import hplan
-from hplan.apps.ros.bag_writer import _Encoder
+from hplan.apps.ros.mcap_file import _Encoder
 
 MEASURED = Path(__file__).resolve().parents[2] / "shared" / "data" / "measured_trees"
 EXAMPLES = Path(__file__).resolve().parents[1] / "scripts" / "examples"

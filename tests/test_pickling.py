@@ -87,7 +87,7 @@ def facts(error: HplanError) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("error", SAMPLES, ids=lambda error: error.kind)
-def test_an_error_arrives_as_it_was(error: HplanError, travelled: Callable[[Any], Any]) -> None:
+def test_error_arrives_unchanged(error: HplanError, travelled: Callable[[Any], Any]) -> None:
     error.add_note("seen to")
     found = travelled(error)
     assert type(found) is type(error)
@@ -107,7 +107,7 @@ def test_every_error_class_is_among_the_samples() -> None:
     assert kinds == {type(error) for error in SAMPLES}
 
 
-def test_what_cannot_be_pickled_becomes_its_text() -> None:
+def test_unpicklable_values_become_text() -> None:
     error = errors.OptionError("speed", lambda: 1.0, "a number")
     found = by_pickle(error)
     assert found.message == error.message
@@ -119,7 +119,7 @@ def bad_option(_: int) -> None:
 
 
 @pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_a_worker_process_hands_its_error_over(method: str) -> None:
+def test_worker_process_hands_its_error_over(method: str) -> None:
     pool = concurrent.futures.ProcessPoolExecutor(1, mp_context=multiprocessing.get_context(method))
     with pool, pytest.raises(errors.OptionError, match="speed") as caught:
         pool.submit(bad_option, 1).result(timeout=100)
@@ -130,7 +130,7 @@ def duration_of(scene: Scene) -> hplan.PlanResult:
     return hplan.plan(hplan.load_robot(), scene)
 
 
-def test_a_worker_process_hands_its_plan_over(robot: Robot, scene: Scene) -> None:
+def test_worker_process_hands_its_plan_over(robot: Robot, scene: Scene) -> None:
     with concurrent.futures.ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         found = pool.submit(duration_of, scene).result(timeout=300)
     np.testing.assert_array_equal(found.trajectory.position, hplan.plan(robot, scene).trajectory.position)
@@ -170,7 +170,7 @@ def locked(robot: Robot, scene: Scene) -> hplan.PlanResult:
     return hplan.plan(robot, scene)
 
 
-def test_a_plan_arrives_and_can_be_certified(robot: Robot, scene: Scene, locked: hplan.PlanResult) -> None:
+def test_plan_arrives_and_can_be_certified(robot: Robot, scene: Scene, locked: hplan.PlanResult) -> None:
     found = by_pickle(locked)
     assert_alike(locked, found)
     assert found.certificate == locked.certificate
@@ -183,7 +183,7 @@ def test_a_plan_arrives_and_can_be_certified(robot: Robot, scene: Scene, locked:
     np.testing.assert_array_equal(checker.distances(q), locked.motion.problem.world.checker.distances(q))
 
 
-def test_a_tour_arrives(robot: Robot) -> None:
+def test_tour_arrives(robot: Robot) -> None:
     fruits = (fruit("a", 20.0, 1.5, 1.5), fruit("b", -20.0, 1.5, 1.6))
     result = hplan.plan_tour(robot, task((0.0, 60.0, 40.0, 30.0), Goal(fruit="a"), fruits=fruits))
     found = by_pickle(result)
@@ -193,7 +193,7 @@ def test_a_tour_arrives(robot: Robot) -> None:
         found.picked["a"] = 1.0
 
 
-def test_a_robot_arrives_and_plans(
+def test_robot_arrives_and_plans(
     robot: Robot, scene: Scene, locked: hplan.PlanResult, travelled: Callable[[Any], Any]
 ) -> None:
     found = travelled(robot)
@@ -203,7 +203,7 @@ def test_a_robot_arrives_and_plans(
     np.testing.assert_array_equal(result.trajectory.torque, locked.trajectory.torque)
 
 
-def test_a_scene_with_mesh_and_points_arrives(robot: Robot, travelled: Callable[[Any], Any]) -> None:
+def test_scene_with_mesh_and_points_arrives(robot: Robot, travelled: Callable[[Any], Any]) -> None:
     corners = np.array([(x, y, z) for x in (0.0, 0.1) for y in (0.0, 0.1) for z in (0.0, 0.1)])
     faces = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
              (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]  # fmt: skip
@@ -224,7 +224,7 @@ def test_a_scene_with_mesh_and_points_arrives(robot: Robot, travelled: Callable[
     assert not by_pickle(cloud).core.flags.writeable
 
 
-def test_a_planner_arrives_and_goes_on(robot: Robot, scene: Scene) -> None:
+def test_planner_arrives_and_goes_on(robot: Robot, scene: Scene) -> None:
     planner = hplan.Planner(robot, scene)
     planner.plan()
     found = by_pickle(planner)

@@ -55,7 +55,7 @@ def test_robot_ships_in_the_wheel(project: dict[str, Any]) -> None:
     }
 
 
-def test_wheel_holds_what_a_user_runs_and_nothing_else(project: dict[str, Any], tmp_path: Path) -> None:
+def test_wheel_contains_only_the_package(project: dict[str, Any], tmp_path: Path) -> None:
     pytest.importorskip("hatchling")
     build = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", tmp_path]
     subprocess.run(build, cwd=ROOT, check=True, capture_output=True)

@@ -13,7 +13,7 @@ import hplan
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def test_the_conda_recipe_asks_for_what_the_package_does() -> None:
+def test_conda_recipe_requires_dependencies_of_package() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     recipe = yaml.safe_load((ROOT / "scripts" / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
     asked = [re.split(r"(?=>=)", dependency) for dependency in project["dependencies"]]
@@ -25,7 +25,7 @@ def test_the_conda_recipe_asks_for_what_the_package_does() -> None:
     assert recipe["build"]["python"]["entry_points"] == [f"{k} = {v}" for k, v in project["scripts"].items()]
 
 
-def test_templates_and_hooks_are_what_they_say() -> None:
+def test_templates_and_hooks_are_valid() -> None:
     for path in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml"):
         form = yaml.safe_load(path.read_text(encoding="utf-8"))
         assert {"name", "description", "body"} <= set(form), path.name

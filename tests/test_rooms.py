@@ -61,7 +61,7 @@ def test_rooms_are_those_listed() -> None:
 
 
 @pytest.mark.parametrize("room", rooms())
-def test_a_room_imports_only_what_is_below_it(room: str) -> None:
+def test_room_imports_only_rooms_below(room: str) -> None:
     allowed = set(ROOMS[: ROOMS.index(room) + 1])
     files = sorted((PACKAGE / room).rglob("*.py"))
     upward = [(path.name, name) for path in files for name in imported(path) if name not in allowed]
@@ -69,7 +69,7 @@ def test_a_room_imports_only_what_is_below_it(room: str) -> None:
 
 
 @pytest.mark.parametrize("room", rooms())
-def test_a_room_says_what_it_is_for(room: str) -> None:
+def test_room_states_its_purpose(room: str) -> None:
     assert ast.get_docstring(ast.parse((PACKAGE / room / "__init__.py").read_text(encoding="utf-8")))
 
 

@@ -17,9 +17,8 @@ import pytest
 
 import hplan
 from hplan.apps.cli.job_folder import read_report
-from hplan.apps.execution.recorded_motion import RecordedMotion, read_motion
 from hplan.apps.execution.simulated_arm import Plant
-from hplan.apps.execution.simulation import execute
+from hplan.apps.execution.simulation import RecordedMotion, execute, read_motion
 from hplan.apps.ros import read_moveit_scene, read_planning_scene
 from hplan.apps.view.page import write_page
 from hplan.apps.view.playback import Playback
@@ -49,7 +48,7 @@ from hplan.scene.tracks import Sway, Track
 from hplan.study.definition import Study
 from hplan.study.run import run_study
 from hplan.tour.tour import TourOptions
-from hplan.trajectory import corner_grid, limit_shares, limits_of, read_machine, read_waypoints, time_waypoints
+from hplan.trajectory import corner_grid, limit_shares, limits_of, read_kinematics, read_waypoints, time_waypoints
 from hplan.trajectory.corner_rounding import largest_deviation, rounded_path
 
 NAN, INF = math.nan, math.inf
@@ -411,8 +410,10 @@ CASES: dict[str, Case] = {
         waypoints=[[0.0] * 4, [0.1] * 4],
         limits=limits_of(ROBOT.model, 1.0),
     ),
-    "read_machine": case(
-        read_machine, bad={"joints": ("wrist", 1, [1]), "hold": (1, "wrist", {"wrist": "a"})}, path=str(ROBOT.urdf_path)
+    "read_kinematics": case(
+        read_kinematics,
+        bad={"joints": ("wrist", 1, [1]), "hold": (1, "wrist", {"wrist": "a"})},
+        path=str(ROBOT.urdf_path),
     ),
     "read_waypoints": case(read_waypoints, bad={"joint_names": (None, "a", [1])}, path="w.csv", joint_names=["a"]),
     "Trajectory.since": case(a_trajectory().since, "row:whole", row=1),
@@ -461,7 +462,7 @@ def calls() -> Iterator[Any]:
 
 
 @pytest.mark.parametrize(("function", "good", "argument", "values"), list(calls()))
-def test_a_wrong_value_is_an_error_of_our_own(
+def test_wrong_value_is_an_error_of_our_own(
     function: Callable[..., Any],
     good: dict[str, Any],
     argument: str,
@@ -551,7 +552,7 @@ def test_far_too_large_numbers_are_refused_without_a_warning(tmp_path: Path) -> 
                 hplan.load_scene(tmp_path / "scene.yaml")
 
 
-def test_a_scenes_errors_are_value_errors_too() -> None:
+def test_scenes_errors_are_value_errors_too() -> None:
     """As pydantic's were, which such code may have expected."""
     with pytest.raises(ValueError, match=r"scene, radius: input should be greater than 0 \(got -1\)") as caught:
         Sphere(name="ball", center=(0.0, 0.0, 0.0), radius=-1)

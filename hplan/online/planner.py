@@ -41,12 +41,12 @@ from hplan.online.frame_check import (
     with_cloud,
 )
 from hplan.online.frame_kernels import Scratch
-from hplan.online.next_view import NextView, shows, sweep
-from hplan.online.seen_space import UNSEEN, SeenSpace
+from hplan.online.seen_space import UNSEEN, NextView, SeenSpace, shows, sweep
 from hplan.online.splice import RunningMotion, SplicedResult
 from hplan.planning.motion import Transit
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import check_task, plan_with
+from hplan.planning.plan import check_task, solved
+from hplan.planning.problem import Problem
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.scene.limits import FARTHEST_M
@@ -278,7 +278,8 @@ class Planner:
         begin = self._begin_of(begins_s, scene)
         self._check_clouds(scene, options, begins_s)
         self._check_known(scene)
-        found = plan_with(self.robot, scene if math.isnan(begin) else scene.since(begin), options, before=before)
+        shown = scene if math.isnan(begin) else scene.since(begin)
+        found = solved(Problem.of(self.robot, shown, options), before=before)
         self.last = self._with_ages(replace(found, begins_s=begin), scene, begins_s)
         return self.last
 
@@ -562,7 +563,7 @@ class Planner:
             self._check_clouds(scene, self.options, None)
             self._begin_of(None, scene)
             known = with_cloud(scene, UNSEEN, None)
-            path = plan_with(self.robot, known, self.options).trajectory.position
+            path = solved(Problem.of(self.robot, known, self.options)).trajectory.position
             unseen = space.unknown(sweep(self.robot, path, space.edge), since_s)
             found = list[tuple[int, int]]()
             for number, view in enumerate(views):
@@ -585,7 +586,7 @@ class Planner:
                     there = scene.copy_unchecked({"goal": Goal(joints_rad=tuple(joints.tolist()))})
                     self._check_known(there)
                     try:
-                        motion = plan_with(self.robot, there, self.options)
+                        motion = solved(Problem.of(self.robot, there, self.options))
                     except (NotInTimeError, PlanCancelledError):
                         raise
                     except HplanError:

@@ -28,7 +28,8 @@ from hplan.certificate.task_check import SAME
 from hplan.errors import HplanError, InputError, NotOnMotionError, RunningMotionBlockedError, UnavoidableContactError
 from hplan.planning.in_time import without_moving
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import plan_with
+from hplan.planning.plan import solved
+from hplan.planning.problem import Problem
 from hplan.planning.result import PlanResult
 from hplan.planning.world import World
 from hplan.scene.model import Scene, Start
@@ -177,7 +178,7 @@ class RunningMotion:
         scene = self._scene.since(float(time[seam])).copy_unchecked({"start": _state_at(self.plan.trajectory, seam)})
         stop = stopped(self.plan.trajectory, float(time[seam]), self.plan.robot).trajectory
         try:
-            new = plan_with(self.plan.robot, scene, self._options, stop=stop.since(seam))
+            new = solved(Problem.of(self.plan.robot, scene, self._options), stop=stop.since(seam))
         except UnavoidableContactError as error:
             raise self._blocked(error.reasons) from error
         return self._joined(seam, until, new)

@@ -14,8 +14,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
+from typing import TypeAlias
 
-from hplan.base.deadline import TimeIsUpError
+from hplan.base.deadline import TimeIsUpError, time_limit
 from hplan.certificate.certificate import GoalContact, certify
 from hplan.certificate.moving_obstacles import checker_in_time
 from hplan.certificate.touch_risk import Share, TouchRisk, touch_risk
@@ -23,15 +24,14 @@ from hplan.errors import (
     BlockedError,
     CertificationError,
     ConfigurationInCollisionError,
+    MovingObstacleError,
     NoPathError,
     NotFoundError,
     NotInTimeError,
     TimingError,
 )
-from hplan.planning.options import PlanOptions
-from hplan.planning.problem import MARGIN
+from hplan.planning.problem import MARGIN, Problem
 from hplan.planning.result import PlanResult
-from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import largest_deviation
 
@@ -64,18 +64,40 @@ class _Allocation:
         return self.near.get(name, self.rest)
 
 
-def plan_at_risk(
-    robot: Robot, scene: Scene, options: PlanOptions, risk: float, plan: Callable[[PlanOptions], PlanResult]
-) -> PlanResult:
-    """The fastest motion found with a contact probability of at most `risk`.
+#: Solves a problem.
+Solved: TypeAlias = Callable[[Problem], PlanResult]
+
+
+def within_risk(solve: Solved) -> Solved:
+    """A function that also solves problems whose options have a risk.
 
     Args:
-        plan: Plans the scene with the growths as `PlanOptions.sigmas`.
+        solve: Solves a problem without a risk.
+    """
+
+    def solved(problem: Problem) -> PlanResult:
+        options, scene = problem.options, problem.scene
+        if options.risk is None:
+            return solve(problem)
+        if scene.moves:
+            raise MovingObstacleError(scene.first_moving, "a risk is of what stands still")
+        with time_limit(options.deadline_s) as limit:
+            try:
+                return _solved_at_risk(problem, options.risk, solve)
+            except TimeIsUpError:
+                raise limit.error(["the risk of motions"]) from None
+
+    return solved
+
+
+def _solved_at_risk(problem: Problem, risk: float, solve: Solved) -> PlanResult:
+    """The fastest motion found with a contact probability of at most `risk`.
 
     Raises:
         HplanError: As in `hplan.planning.plan.plan`.
         CertificationError: Motions were found, but none has a probability bound within the risk.
     """
+    scene, options = problem.scene, problem.options
     shared = scene.shared_error
     deviations = {name: largest_deviation(error + shared) for name, error in scene.errors.items()}
     best: tuple[PlanResult, TouchRisk] | None = None
@@ -87,7 +109,8 @@ def plan_at_risk(
     for _ in range(_ROUNDS):
         sigmas = _sigmas(allocation, deviations, scene.clearance, room)
         try:
-            result = plan(replace(options, risk=None, sigmas=sigmas or 0.0, deadline_s=deadline_s))
+            asked = replace(options, risk=None, sigmas=sigmas or 0.0, deadline_s=deadline_s)
+            result = solve(Problem.of(problem.robot, scene, asked))
             shown = _risk_of(result, scene, risk)
         except (NotInTimeError, TimeIsUpError):
             if best is None:
@@ -99,7 +122,7 @@ def plan_at_risk(
             if room:
                 raise
             # Obstacles near start or goal cannot grow as much; the bound decides whether this suffices.
-            room = _room_at_ends(robot, scene)
+            room = _room_at_ends(problem)
             continue
         except (BlockedError, NoPathError, NotFoundError, CertificationError, TimingError):
             if best is not None:
@@ -124,7 +147,7 @@ def plan_at_risk(
             risk=risk,
             bound=least,
         )
-    return _among_what_was_seen(robot, scene, options, *best)
+    return _among_what_was_seen(problem, *best)
 
 
 def _risk_of(result: PlanResult, scene: Scene, risk: float) -> TouchRisk:
@@ -140,11 +163,12 @@ def _away(probability: float) -> float:
     return NormalDist().inv_cdf(1.0 - min(max(probability, 1e-12), 0.45))
 
 
-def _room_at_ends(robot: Robot, scene: Scene) -> dict[str, float]:
+def _room_at_ends(problem: Problem) -> dict[str, float]:
     """Maximum growth of each obstacle at start and goal, by name [m].
 
     The distance there less the required clearance and `_NEAR_M`, at least 0.
     """
+    robot, scene = problem.robot, problem.scene
     checker = checker_in_time(robot, scene, 0.0)
     names = checker.obstacle_names[: checker.own_first]
     room: dict[str, float] = {}
@@ -203,14 +227,12 @@ def _reallocated(
     return _Allocation(_away(each), {**allocation.near, **moved})
 
 
-def _among_what_was_seen(
-    robot: Robot, scene: Scene, options: PlanOptions, result: PlanResult, shown: TouchRisk
-) -> PlanResult:
+def _among_what_was_seen(problem: Problem, result: PlanResult, shown: TouchRisk) -> PlanResult:
     """The result with the certificate without growth, and the risk."""
-    tracking = options.certified_tracking
+    tracking = problem.options.certified_tracking
     contact: GoalContact = result.certificate.goal_contact or "approach"
     certificate = certify(
-        robot, scene, result.trajectory, tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s,
-        sigmas=0.0, goal_contact=contact,
+        problem.robot, problem.scene, result.trajectory,
+        tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s, sigmas=0.0, goal_contact=contact,
     )  # fmt: skip
     return replace(result, certificate=replace(certificate, risk=shown))

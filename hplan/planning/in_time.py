@@ -10,9 +10,9 @@ passes before the obstacle comes. If no motion from a start in motion is found, 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 import numpy as np
 
@@ -20,34 +20,39 @@ from hplan.base.arrays import FloatArray
 from hplan.certificate.certificate import Certificate, certify
 from hplan.certificate.start_state import start_state
 from hplan.errors import HplanError, MovingObstacleError, ObstacleInTimeError, TimingError
-from hplan.planning.motion import Motion, Plan, best_of
-from hplan.planning.options import PlanOptions
+from hplan.planning.motion import Motion, Plan, Solver, best_of
+from hplan.planning.problem import Problem
 from hplan.planning.schedule import STEP_S, MovingField, PathInTime, earliest_schedule, room_to_change
 from hplan.planning.start_in_motion import after_stop, stops
-from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Scene, Start
 from hplan.scene.obstacle_kind import moved
 from hplan.scene.obstacles import AnyObstacle, Sphere
 from hplan.trajectory.trajectory import Phase, Retimed, Trajectory, joined, scaled
 
-#: Anytime plans of a scene with or without moving obstacles.
-PlansOf: TypeAlias = Callable[[Scene], Iterator[Plan]]
 
-
-def plans_in_time(
-    robot: Robot, scene: Scene, options: PlanOptions, plans_of: PlansOf, stop: Trajectory | None = None
-) -> Iterator[Plan]:
-    """Certified plans among moving obstacles, each faster than the one before.
+def past_moving_obstacles(solve: Solver, stop: Trajectory | None = None) -> Solver:
+    """A solver that also solves problems with moving obstacles.
 
     Args:
-        scene: The scene, and the task.
+        solve: Solver of problems among static obstacles.
         stop: A motion to rest from a start in motion, tried in addition to the default ones; None for none.
+    """
+
+    def solver(problem: Problem) -> Iterator[Plan]:
+        return _plans_in_time(problem, solver, stop) if problem.scene.moves else solve(problem)
+
+    return solver
+
+
+def _plans_in_time(problem: Problem, solve: Solver, stop: Trajectory | None) -> Iterator[Plan]:
+    """Certified plans among moving obstacles, each faster than the one before.
 
     Raises:
         MovingObstacleError: The goal is a fruit that moves as seen from the base, or the options request a bound.
         ObstacleInTimeError: No motion was certified; names a blocking obstacle and the time.
-        HplanError: As raised by `plans_of` for the scene without moving obstacles.
+        HplanError: As raised by `solve` for the scene without moving obstacles.
     """
+    robot, scene, options = problem.robot, problem.scene, problem.options
     if options.bound:
         raise MovingObstacleError(scene.first_moving, "bounds of durations take scenes in which nothing moves")
     for fruit in scene.fruits:
@@ -55,56 +60,54 @@ def plans_in_time(
             moving = None if fruit.track is None else fruit.name
             raise MovingObstacleError(moving, "a fruit to pick must not move, as seen from the base")
     try:
-        yield from _Search(robot, scene, options, plans_of).plans()
+        yield from _Search(problem, solve).plans()
     except ObstacleInTimeError:
         state = start_state(robot, scene)
         if state is None:
             raise
         yield after_stop(
             stops(robot, state, 1.0 / options.rate_hz, stop),
-            lambda motion: certified_in_time(robot, scene, options, motion, check_ends=False),
-            lambda stopped: stopping_first(robot, scene, options, plans_of, stopped),
+            lambda motion: certified_in_time(problem, motion, check_ends=False),
+            lambda stopped: stopping_first(problem, solve, stopped),
         )
 
 
-def stopping_first(robot: Robot, scene: Scene, options: PlanOptions, plans_of: PlansOf, stop: Motion) -> Plan | None:
+def stopping_first(problem: Problem, solve: Solver, stop: Motion) -> Plan | None:
     """A stop and a plan from its end; None if not certified.
 
     The plan starts with the moving obstacles as they are at the end of the stop.
     """
     stop_s = stop.trajectory.duration
     rest = Start(joints_rad=tuple(stop.trajectory.position[-1].tolist()))
-    plan = best_of(plans_of(scene.since(stop_s).copy_unchecked({"start": rest})))
+    after = problem.scene.since(stop_s).copy_unchecked({"start": rest})
+    plan = best_of(solve(Problem.of(problem.robot, after, problem.options)))
     later, trajectory, _ = plan.whole
     first, *others = (phase.later(stop_s) for phase in later)
     phases = (replace(first, start_s=0.0), *others)
     trajectory = joined([stop.trajectory, trajectory])
-    certificate = certified_in_time(robot, scene, options, trajectory, direct=len(phases) == 1)
-    told = {**plan.told, "stops_until_s": stop_s}
-    return _run(plan, scene, (phases, trajectory, certificate), told) if certificate.verified else None
+    certificate = certified_in_time(problem, trajectory, direct=len(phases) == 1)
+    if not certificate.verified:
+        return None
+    told = plan.told.get("in_time", {})
+    return _run(plan, problem.scene, (phases, trajectory, certificate), {**told, "stops_until_s": stop_s})
 
 
 def certified_in_time(
-    robot: Robot, scene: Scene, options: PlanOptions, motion: Trajectory, *,
-    direct: bool = False, check_ends: bool = True,
-) -> Certificate:  # fmt: skip
+    problem: Problem, motion: Trajectory, *, direct: bool = False, check_ends: bool = True
+) -> Certificate:
     """The certificate of a motion among moving obstacles.
 
     Args:
-        scene: The scene; its clock is the motion's.
+        problem: The problem with the scene; its clock is the motion's.
         direct: True if the fruit may be touched during the whole motion, which then has no approach.
         check_ends: True for a whole motion; False for a stop, which need not reach the goal.
     """
+    options = problem.options
     return certify(
-        robot,
-        scene,
-        motion,
-        tracking_error=options.tracking_error,
-        tracking_delay_s=options.tracking_delay_s,
-        sigmas=options.sigmas,
-        goal_contact="motion" if direct else "approach",
-        check_ends=check_ends,
-    )
+        problem.robot, problem.scene, motion,
+        tracking_error=options.tracking_error, tracking_delay_s=options.tracking_delay_s, sigmas=options.sigmas,
+        goal_contact="motion" if direct else "approach", check_ends=check_ends,
+    )  # fmt: skip
 
 
 class _Search:
@@ -116,8 +119,9 @@ class _Search:
         first: The first plan without moving obstacles, and its certificate among them.
     """
 
-    def __init__(self, robot: Robot, scene: Scene, options: PlanOptions, plans_of: PlansOf) -> None:
-        self._robot, self._scene, self._options, self._plans_of = robot, scene, options, plans_of
+    def __init__(self, problem: Problem, solve: Solver) -> None:
+        robot, scene, options = problem.robot, problem.scene, problem.options
+        self._problem, self._robot, self._scene, self._options, self._solve = problem, robot, scene, options, solve
         self._field = MovingField(robot, scene, sigmas=options.sigmas, tracking_error=options.tracking.still_rad)
         self.best_s = math.inf
         self.tried: list[str] = []
@@ -131,7 +135,7 @@ class _Search:
         """
         for path, among in self._scenes():
             try:
-                stills = self._plans_of(among)
+                stills = self._solve(Problem.of(self._robot, among, self._options))
                 for still in stills if self._options.deadline_s is not None else [best_of(stills)]:
                     plan = self._past(path, still)
                     if plan is not None and plan.duration < self.best_s - 1e-9:
@@ -203,7 +207,7 @@ class _Search:
         return None
 
     def _certified(self, still: Plan, motion: Trajectory) -> Certificate:
-        return certified_in_time(self._robot, self._scene, self._options, motion, direct=not still.others)
+        return certified_in_time(self._problem, motion, direct=not still.others)
 
 
 def _run(
@@ -211,7 +215,7 @@ def _run(
 ) -> Plan:
     """A plan with its motion and certificate among moving obstacles."""
     transit = replace(plan.transit, problem=replace(plan.transit.problem, scene=scene))
-    return replace(plan, transit=transit, run=run, told={**told, "clear_until_s": run[2].clear_until_s})
+    return replace(plan, transit=transit, run=run, told={"in_time": {**told, "clear_until_s": run[2].clear_until_s}})
 
 
 def _later(phase: Phase, retimed: Retimed) -> Phase:

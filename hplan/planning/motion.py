@@ -93,7 +93,7 @@ class Plan(Record):
         grasp: The goal of the transit; None for a goal given as joints.
         run: Phases, trajectory and certificate to run among moving obstacles, in place of `whole`; None if nothing
             moves.
-        told: How the plan avoids moving obstacles, for the report.
+        told: Additional report sections.
     """
 
     transit: Transit
@@ -116,6 +116,11 @@ class Plan(Record):
     def whole(self) -> _Whole:
         """Phases, trajectory and certificate of the whole plan."""
         return in_sequence(self.motions) if self.run is None else self.run
+
+
+#: Finds certified plans for a problem, each faster than the one before. Wrappers take a solver and return one that also
+#: solves problems with a start in motion (`start_in_motion`) or moving obstacles (`in_time`).
+Solver: TypeAlias = Callable[[Problem], Iterator[Plan]]
 
 
 def best_of(found: Iterable[_T]) -> _T:

@@ -4,26 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from hplan.base.arguments import function, instance
-from hplan.base.deadline import Cancel, TimeIsUpError, TimeLimit, check_deadline, time_limit
+from hplan.base.deadline import Cancel, TimeIsUpError, TimeLimit, time_limit
 from hplan.certificate.certificate import GoalContact, certify, goal_contacts
 from hplan.certificate.digests import Digests
-from hplan.certificate.start_state import start_state
 from hplan.collision.far_obstacles import warn_of_far_obstacles
 from hplan.collision.giving_way import check_yield_links
-from hplan.errors import CertificationError, HplanError, MovingObstacleError, NoPathError, OptionError, TimingError
-from hplan.planning.at_risk import plan_at_risk
-from hplan.planning.in_time import plans_in_time
-from hplan.planning.motion import Plan, Transit, best_of, motion_limits, seconds
+from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
+from hplan.planning.at_risk import within_risk
+from hplan.planning.in_time import past_moving_obstacles
+from hplan.planning.motion import Plan, Solver, Transit, best_of, motion_limits, seconds
 from hplan.planning.options import PlanOptions
-from hplan.planning.plans import plans
+from hplan.planning.plans import plans_from_rest, reusing, with_all_efforts
 from hplan.planning.problem import Problem
 from hplan.planning.report import deadline_report
 from hplan.planning.result import PlanResult, bounded_phases
 from hplan.planning.specialist import check_method
 from hplan.planning.stages import Progress, current_clock, no_progress, stage, stage_clock
+from hplan.planning.start_in_motion import from_motion
 from hplan.robot.model import Robot
 from hplan.robot.tracking import largest_fraction, name_margin
 from hplan.scene.model import Scene, checked_scene
@@ -79,19 +80,8 @@ def plan(
     """
     check_task(robot, scene, options, progress, takes_risk=True)
     options = PlanOptions() if options is None else options
-
-    def planned(options: PlanOptions) -> PlanResult:
-        return plan_with(robot, scene, options, progress=progress)
-
-    with time_limit(options.deadline_s, cancel) as limit:
-        if options.risk is None:
-            return planned(options)
-        if scene.moves:
-            raise MovingObstacleError(scene.first_moving, "a risk is of what stands still")
-        try:
-            return plan_at_risk(robot, scene, options, options.risk, planned)
-        except TimeIsUpError:
-            raise limit.error(["the risk of motions"]) from None
+    with time_limit(options.deadline_s, cancel):
+        return within_risk(partial(solved, progress=progress))(Problem.of(robot, scene, options))
 
 
 def check_task(
@@ -119,19 +109,12 @@ def check_task(
     warn_of_far_obstacles(robot, scene)
 
 
-def plan_with(
-    robot: Robot,
-    scene: Scene,
-    options: PlanOptions,
-    *,
-    progress: Progress = no_progress,
-    before: Transit | None = None,
-    stop: Trajectory | None = None,
+def solved(
+    problem: Problem, *, progress: Progress = no_progress, before: Transit | None = None, stop: Trajectory | None = None
 ) -> PlanResult:
-    """Plan with an earlier motion to reuse and a stop to try.
+    """Solve the problem of a scene, with an earlier motion to reuse and a stop to try.
 
-    Otherwise it does the same as `plan`. The deadline counts from the start of the enclosing time limit or, without
-    one, from this call.
+    The deadline counts from the start of the enclosing time limit or, without one, from this call.
 
     Args:
         progress: Called with the name of each stage as it begins.
@@ -141,41 +124,32 @@ def plan_with(
     Raises:
         HplanError: As in `plan`.
     """
+    options = problem.options
     try:
         with stage_clock(progress) as clock, time_limit(options.deadline_s) as limit:
             try:
-                found = _plans(robot, scene, options, before, stop)
+                found = solver(before, stop)(problem)
                 return plan_result(best_of(found)) if options.deadline_s is None else _last_in_time(found, limit)
             except TimeIsUpError:
-                raise limit.error(["motions past moving obstacles"] if scene.moves else clock.describe()) from None
+                raise limit.error(clock.describe()) from None
     except (NoPathError, TimingError, CertificationError) as error:
         if not options.tracking.is_exact and options.deadline_s is None:
-            fraction = _fraction_with_room(robot, scene, options)
-            name_margin(error, options.tracking, robot.slides, fraction, "the motion found without one has room for")
+            fraction = _fraction_with_room(problem)
+            name_margin(
+                error, options.tracking, problem.robot.slides, fraction, "the motion found without one has room for"
+            )
         raise
 
 
-def _plans(
-    robot: Robot, scene: Scene, options: PlanOptions, before: Transit | None, stop: Trajectory | None
-) -> Iterator[Plan]:
-    """Plans of a scene, each faster than the one before.
+def solver(before: Transit | None = None, stop: Trajectory | None = None) -> Solver:
+    """The solver of any problem: of a problem from rest among static obstacles, and its wrappers.
 
-    A static world is prepared before this function returns.
+    Args:
+        before: An earlier motion, kept or repaired if possible.
+        stop: A motion to rest from a start in motion, tried in addition to the default ones.
     """
-    if scene.moves:
-
-        def plans_of(other: Scene) -> Iterator[Plan]:
-            return _plans(robot, other, options, None, stop)
-
-        return plans_in_time(robot, scene, options, plans_of, stop)
-    problem = Problem.of(robot, scene, options)
-    check_deadline()
-    problem.world.check_base(robot.yaw_of(problem.start))
-    check_deadline()
-    state = start_state(robot, scene)
-    if state is not None and options.bound:
-        raise OptionError("bound", True, "False where the start is in motion")
-    return plans(problem, state, before=before, stop=stop)
+    solve = with_all_efforts(from_motion(plans_from_rest, stop))
+    return reusing(before, past_moving_obstacles(solve, stop))
 
 
 def _last_in_time(found: Iterator[Plan], limit: TimeLimit) -> PlanResult:
@@ -203,13 +177,14 @@ def _last_in_time(found: Iterator[Plan], limit: TimeLimit) -> PlanResult:
     return replace(best, told={**best.told, **deadline_report(limit, count, first_s, cut_short=cut_short)})
 
 
-def _fraction_with_room(robot: Robot, scene: Scene, options: PlanOptions) -> float:
+def _fraction_with_room(problem: Problem) -> float:
     """Fraction of the tracking error that an exact plan allows.
 
     0 if planning fails even without a tracking error.
     """
+    robot, scene, options = problem.robot, problem.scene, problem.options
     try:
-        found = plan_with(robot, scene, replace(options, tracking_error=0.0, tracking_delay_s=0.0))
+        found = solved(Problem.of(robot, scene, replace(options, tracking_error=0.0, tracking_delay_s=0.0)))
     except HplanError:
         return 0.0
 
@@ -229,7 +204,7 @@ def plan_result(plan: Plan) -> PlanResult:
     phases, trajectory, certificate = plan.whole
     problem = plan.transit.problem
     fruit = problem.scene.goal_fruit
-    if plan.run is None:
+    if certificate.digests is None:  # those of the parts say nothing of the whole
         if fruit is not None:
             # Without an approach the last link may touch the fruit during the whole motion.
             goal_contact: GoalContact = "approach" if plan.others else "motion"
@@ -244,7 +219,7 @@ def plan_result(plan: Plan) -> PlanResult:
         grasp=plan.grasp,
         bound=_bound(plan) if problem.options.bound else None,
         time_ms=current_clock().as_ms(),
-        told={} if plan.run is None else {"in_time": plan.told},
+        told=plan.told,
     )
 
 

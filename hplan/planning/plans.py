@@ -1,4 +1,4 @@
-"""Anytime certified plans, from rest or in motion, to any goal.
+"""Anytime certified plans from rest to any goal.
 
 A plan is a motion to joints, or a transit, an approach and, from a fruit, a retreat. Without a deadline the last plan
 is taken. With a deadline the first plan comes as soon as possible, and the last one before the deadline is taken
@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from hplan.base.arrays import FloatArray
+from hplan.base.deadline import check_deadline
 from hplan.errors import (
     CertificationError,
     ConfigurationInCollisionError,
@@ -22,59 +23,61 @@ from hplan.errors import (
     NotFoundError,
     TimingError,
 )
-from hplan.optimization.timed_spline import BoundaryState
 from hplan.planning.approach import Approach, blended
 from hplan.planning.effort import Effort, efforts_of
 from hplan.planning.failures import FailuresError
 from hplan.planning.grasps import COUNT, SPARE, Grasp, Target, grasps, promising
-from hplan.planning.motion import Plan, Transit
+from hplan.planning.motion import Plan, Solver, Transit
 from hplan.planning.pose_goal import configurations_at, pose_of
 from hplan.planning.problem import Problem, merged
 from hplan.planning.solver import motions, prove_infeasible, reuse_motion
 from hplan.planning.specialist import presets_of
 from hplan.planning.stages import stage
-from hplan.planning.start_in_motion import plans_in_motion
-from hplan.trajectory.trajectory import Trajectory
 
 
-def plans(
-    problem: Problem,
-    state: BoundaryState | None = None,
-    *,
-    before: Transit | None = None,
-    stop: Trajectory | None = None,
-) -> Iterator[Plan]:
-    """Certified plans, each faster than the one before.
+def with_all_efforts(solve: Solver) -> Solver:
+    """A solver that tries the budgets of the options in turn, each plan faster than the one before.
 
-    The last one results from the requested effort, or is as fast.
+    The last plan results from the requested effort, or is as fast. The world is prepared before the solver returns.
+    """
+
+    def plans(problem: Problem) -> Iterator[Plan]:
+        best_s, is_found = math.inf, False
+        efforts = efforts_of(presets_of(problem.robot), problem.options)
+        for effort in efforts:
+            if problem.options.objective == "length":
+                best_s = math.inf  # a larger effort yields shorter paths, not faster motions
+            try:
+                for plan in solve(replace(problem, effort=effort)):
+                    if plan.duration < best_s:
+                        best_s, is_found = plan.duration, True
+                        yield plan
+            except HplanError as error:
+                if not is_found and (effort is efforts[-1] or not _may_be_found(problem, effort, error)):
+                    raise
+
+    def solver(problem: Problem) -> Iterator[Plan]:
+        problem.world.check_base(problem.robot.yaw_of(problem.start))
+        check_deadline()
+        return plans(problem.among(problem.world))
+
+    return solver
+
+
+def reusing(before: Transit | None, solve: Solver) -> Solver:
+    """A solver that keeps or repairs an earlier motion if possible.
 
     Args:
-        problem: The problem of a scene.
-        state: The state of motion at the start; None at rest.
-        before: An earlier motion, kept or repaired if possible; None for none.
-        stop: A motion to rest from a start in motion, tried in addition to the default ones; None for none.
-
-    Raises:
-        TimeIsUpError: The deadline has passed.
-        HplanError: No plan was found; as in `hplan.planning.plan.plan`.
+        before: The earlier motion, from rest among static obstacles; None for none.
+        solve: Solves the problem if that is impossible.
     """
-    kept = None if before is None or state is not None else _kept(problem, before)
-    if kept is not None:
-        yield Plan(kept)
-        return
-    best_s, is_found = math.inf, False
-    efforts = efforts_of(presets_of(problem.robot), problem.options)
-    for effort in efforts:
-        if problem.options.objective == "length":
-            best_s = math.inf  # a larger effort yields shorter paths, not faster motions
-        try:
-            for plan in _with_effort(replace(problem, effort=effort), state, stop):
-                if plan.duration < best_s:
-                    best_s, is_found = plan.duration, True
-                    yield plan
-        except HplanError as error:
-            if not is_found and (effort is efforts[-1] or not _may_be_found(problem, effort, error)):
-                raise
+
+    def plans(problem: Problem, found: Iterator[Plan]) -> Iterator[Plan]:
+        goal = None if before is None or problem.scene.moves or problem.scene.start.is_moving else _goal(problem)
+        kept = reuse_motion(goal, before) if isinstance(goal, Problem) and before is not None else None
+        yield from found if kept is None else (Plan(kept),)
+
+    return lambda problem: plans(problem, solve(problem))
 
 
 def _may_be_found(problem: Problem, effort: Effort, error: HplanError) -> bool:
@@ -87,20 +90,13 @@ def _may_be_found(problem: Problem, effort: Effort, error: HplanError) -> bool:
     return not tries_all and problem.robot.joints_of(goal, "goal") is None
 
 
-def _with_effort(problem: Problem, state: BoundaryState | None, stop: Trajectory | None) -> Iterator[Plan]:
-    if state is None:
-        return _from_rest(problem)
-    return plans_in_motion(problem, state, lambda q: _from_rest(replace(problem, start=q)), stop)
+def plans_from_rest(problem: Problem) -> Iterator[Plan]:
+    """Plans with the effort of a problem, each faster than the one before.
 
-
-def _kept(problem: Problem, before: Transit) -> Transit | None:
-    """The earlier motion, kept or repaired; None if neither is possible."""
-    goal = _goal(problem)
-    return None if isinstance(goal, Target) else reuse_motion(goal, before)
-
-
-def _from_rest(problem: Problem) -> Iterator[Plan]:
-    """Plans with one effort, each faster than the one before."""
+    Raises:
+        TimeIsUpError: The deadline has passed.
+        HplanError: No plan was found; as in `hplan.planning.plan.plan`.
+    """
     goal = _goal(problem)
     if isinstance(goal, Target):
         yield from _to_target(problem, goal)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,13 +27,13 @@ MARGIN = 2e-3
 
 @dataclass(frozen=True, eq=False)
 class Problem(Record):
-    """An arm in its world, with task, budget, start and goals.
+    """An arm and a scene, with budget, start and goals.
 
     A problem made from a scene has no goal configurations yet: `scene.goal` says which are acceptable. `between`
     returns the problem of a motion to one of them, and `merged` the problem of a motion to any of several.
 
     Attributes:
-        world: The arm and the obstacles.
+        robot: The arm.
         scene: Obstacles and task, as given.
         options: The options of the plan.
         effort: Search and optimization budget.
@@ -42,9 +43,10 @@ class Problem(Record):
         upper: (n, dof) upper joint limits of the motion to each goal; a locked joint has its start value.
         spare_clearances: (n,) minimum clearance of start and goal beyond the required one [m]; inf without obstacles.
         movable: (k,) numbers of the joints that may move.
+        other_world: The arm among other obstacles than the scene's; None for the scene's.
     """
 
-    world: World
+    robot: Robot
     scene: Scene
     options: PlanOptions
     effort: Effort
@@ -54,6 +56,7 @@ class Problem(Record):
     upper: FloatArray
     spare_clearances: FloatArray
     movable: IntArray
+    other_world: World | None = None
 
     @classmethod
     def of(cls, robot: Robot, scene: Scene, options: PlanOptions) -> Problem:
@@ -62,19 +65,21 @@ class Problem(Record):
         Raises:
             InputError: The scene's start is not a configuration of the robot.
             JointLimitError: The start violates the joint limits.
-            OptionError: `scene.yield_links` names an unknown link.
         """
-        world = World.of_scene(robot, scene, options)
         start = robot.check_configuration(robot.joints_of(scene.start, "start"), "start")
         movable = np.flatnonzero(~robot.locked_mask(scene.locked_joints))
         rows, nothing = frozen(np.zeros((0, robot.dof))), frozen(np.zeros(0))
         effort = efforts_of(presets_of(robot), options)[-1]
-        return cls(world, scene, options, effort, start, rows, rows, rows, nothing, readonly(movable, np.int64))
+        return cls(robot, scene, options, effort, start, rows, rows, rows, nothing, readonly(movable, np.int64))
 
-    @property
-    def robot(self) -> Robot:
-        """The arm."""
-        return self.world.robot
+    @cached_property
+    def world(self) -> World:
+        """The arm among the obstacles, prepared at the first use.
+
+        Raises:
+            OptionError: `scene.yield_links` names an unknown link.
+        """
+        return self.other_world or World.of_scene(self.robot, self.scene, self.options)
 
     @property
     def field(self) -> ClearanceField:
@@ -113,7 +118,7 @@ class Problem(Record):
 
     def among(self, world: World) -> Problem:
         """The problem in another world."""
-        return replace(self, world=world)
+        return replace(self, other_world=world)
 
     def to(self, *numbers: int) -> Problem:
         """The problem with some of its goals alone, by their numbers."""
@@ -160,6 +165,7 @@ class Problem(Record):
             goals=frozen(np.array(last[None])),
             lower=frozen(np.where(locked, first, ranges.lower)[None]),
             upper=frozen(np.where(locked, first, ranges.upper)[None]),
+            other_world=world,
             spare_clearances=frozen(np.array([clearance])),
         )
 

@@ -14,12 +14,13 @@ from typing import Final
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray, frozen
+from hplan.base.arrays import frozen
 from hplan.certificate.certificate import REST, Certificate, all_of
-from hplan.errors import ConfigurationInCollisionError, HplanError, UnavoidableContactError
+from hplan.certificate.start_state import start_state
+from hplan.errors import ConfigurationInCollisionError, HplanError, OptionError, UnavoidableContactError
 from hplan.optimization.minimize_time import TimedMotion, minimize_time
 from hplan.optimization.timed_spline import RESTING, BoundaryState, TimedSpline, even_breaks
-from hplan.planning.motion import Motion, Plan, best_of, certificate_of, motion_limits, time_problem
+from hplan.planning.motion import Motion, Plan, Solver, best_of, certificate_of, motion_limits, time_problem
 from hplan.planning.problem import Problem
 from hplan.planning.stages import stage
 from hplan.robot.model import Robot
@@ -33,30 +34,40 @@ _PUSHES: Final = (1.0, 0.7, 0.4, 0.2)
 _TOGETHER: Final = 1e-3
 
 
-def plans_in_motion(
-    problem: Problem,
-    state: BoundaryState,
-    plans_from: Callable[[FloatArray], Iterator[Plan]],
-    stop: Trajectory | None = None,
-) -> Iterator[Plan]:
-    """Plans from a start in motion, not necessarily each faster than before.
+def from_motion(solve: Solver, stop: Trajectory | None = None) -> Solver:
+    """A solver that also solves problems with a start in motion.
+
+    Its plans are not necessarily each faster than before.
 
     Args:
-        problem: The problem, with the start configuration of `state`.
-        state: Position, velocity and acceleration at the start.
-        plans_from: Returns anytime plans from rest at a configuration, or raises `HplanError`.
+        solve: Solver of problems with a start at rest.
         stop: A motion from the state to rest, tried before others; None for none.
+    """
+
+    def solver(problem: Problem) -> Iterator[Plan]:
+        state = start_state(problem.robot, problem.scene)
+        if state is None:
+            return solve(problem)
+        if problem.options.bound:
+            raise OptionError("bound", True, "False where the start is in motion")
+        return _plans_in_motion(problem, state, solve, stop)
+
+    return solver
+
+
+def _plans_in_motion(problem: Problem, state: BoundaryState, solve: Solver, stop: Trajectory | None) -> Iterator[Plan]:
+    """Plans from a state of motion.
 
     Raises:
         UnavoidableContactError: Neither a motion nor a stop was certified.
-        HplanError: No motion was found, as raised by `plans_from`.
+        HplanError: No motion was found, as raised by `solve`.
     """
     is_found, failure = False, None
     options = problem.options
     may_be_blended = options.objective == "duration" and options.tracking.delay_s == 0.0 and _is_within(problem, state)
     if may_be_blended:
         try:
-            planned = plans_from(state.position)
+            planned = solve(problem)
             for plan in planned if options.deadline_s is not None else [best_of(planned)]:
                 blended = _blended(plan, state)
                 if blended is not None:
@@ -70,7 +81,7 @@ def plans_in_motion(
             return
 
     def onward(stopped: Motion) -> Plan:
-        planned = plans_from(stopped.trajectory.position[-1])
+        planned = solve(replace(problem, start=stopped.trajectory.position[-1]))
         return _stopping_first(stopped, next(planned) if problem.effort.at_once else best_of(planned))
 
     try:

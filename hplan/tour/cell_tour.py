@@ -1,7 +1,7 @@
 """Plans picking tours of several arms: fruit allocation, tours, schedule.
 
 A fruit that only one arm can pick is assigned to it; the others are allocated to minimize the time until all arms are
-done (`hplan.tour.cell_tour`). Each arm's tour is planned on its own, with the other arms as obstacles at their starts,
+done (`exchanged`). Each arm's tour is planned on its own, with the other arms as obstacles at their starts,
 and with all fruits of other arms as obstacles. A fruit without a motion is reassigned to another arm that can pick it.
 The motions found improve the cost estimates of the next allocation. Tours run forward or reversed, with waits at rests,
 so that all of them finish as early as possible.

@@ -11,13 +11,14 @@ from hplan.base.lazy_import import lazy_names
 
 if TYPE_CHECKING:
     from hplan.trajectory.corner_rounding import largest_deviation, rounded_path
-    from hplan.trajectory.machine import Machine, limits_of, read_machine
     from hplan.trajectory.timing import (
         AT_LIMIT,
         DEVIATION,
         LimitShares,
         corner_grid,
         limit_shares,
+        limits_of,
+        read_kinematics,
         read_waypoints,
         time_waypoints,
     )
@@ -26,12 +27,11 @@ __all__ = [
     "AT_LIMIT",
     "DEVIATION",
     "LimitShares",
-    "Machine",
     "corner_grid",
     "largest_deviation",
     "limit_shares",
     "limits_of",
-    "read_machine",
+    "read_kinematics",
     "read_waypoints",
     "rounded_path",
     "time_waypoints",
@@ -41,8 +41,7 @@ __getattr__ = lazy_names(
     __name__,
     {
         "hplan.trajectory.corner_rounding": "largest_deviation rounded_path",
-        "hplan.trajectory.machine": "Machine limits_of read_machine",
-        "hplan.trajectory.timing": "AT_LIMIT DEVIATION LimitShares corner_grid limit_shares read_waypoints "
-        "time_waypoints",
+        "hplan.trajectory.timing": "AT_LIMIT DEVIATION LimitShares corner_grid limit_shares limits_of "
+        "read_kinematics read_waypoints time_waypoints",
     },
 )

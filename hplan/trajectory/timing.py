@@ -1,13 +1,14 @@
 """Times waypoints of any robot's URDF: the fastest motion with rounded corners.
 
-The robot is read by `hplan.trajectory.machine`, the path made by `hplan.trajectory.corner_rounding`. For prismatic
-joints, radians mean metres; the columns of their files are named accordingly.
+The path is made by `hplan.trajectory.corner_rounding`. For prismatic joints, radians mean metres; the columns of their
+files are named accordingly.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -16,13 +17,18 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from hplan.base.arguments import instance, list_of
-from hplan.base.arrays import FloatArray, Record, readonly
+from hplan.base.arguments import file_path, instance, list_of, number, truth
+from hplan.base.arrays import FloatArray, Record, as_array, readonly
 from hplan.base.csv_file import CsvFile
 from hplan.base.units import joint_unit
-from hplan.errors import InputError, JointLimitError, TimingError
+from hplan.errors import InputError, JointLimitError, RobotFileError, TimingError
 from hplan.robot.dynamics import joints_that_slide
+from hplan.robot.files import robot_files
 from hplan.robot.limits import Limits
+from hplan.robot.urdf_adaptation import fix_joint, standing_values
+from hplan.robot.urdf_check import check_models
+from hplan.robot.urdf_file import read_urdf
+from hplan.robot.urdf_xml import read_urdf_xml
 from hplan.trajectory import retime as timing
 from hplan.trajectory.corner_rounding import as_waypoints, rounded_path
 from hplan.trajectory.speed_profile import NO_MOTION
@@ -37,6 +43,139 @@ _CORNER_POINTS, _MOST_POINTS = (10, 100), 60_000
 
 #: A joint that uses at least this fraction of a limit counts as limiting the motion.
 AT_LIMIT = 0.99
+
+#: Position limit that represents a continuous joint's endless range [rad].
+ENDLESS = 1e9
+
+
+def read_kinematics(
+    path: Path | str, joints: Sequence[str] | None = None, *, hold: Mapping[str, float] | None = None
+) -> tuple[pin.Model, dict[str, float | None]]:
+    """Read the moving joints and the inertia of any robot's URDF, without geometry.
+
+    Revolute, prismatic and continuous joints can move. A continuous joint becomes a revolute one without limits: its
+    angles count beyond a whole turn. Joints with several coordinates, and joints that mimic another or are mimicked,
+    cannot move.
+
+    Args:
+        path: URDF file, or the name of a robot as for `load_robot`.
+        joints: Names of the moving joints; None for all joints that neither mimic another nor are mimicked.
+        hold: Positions of joints that do not move [rad, m]. Other fixed joints are at 0, or at the limit nearest to 0.
+
+    Returns:
+        Pinocchio's model of the moving joints, with nq = nv and inf for a limit that the URDF lacks; and the positions
+        of the other joints by name [rad, m], None for joints with several coordinates, which are at their neutral
+        position.
+
+    Raises:
+        RobotFileError: The file is missing or malformed XML, `hplan.robot.urdf_file` or Pinocchio refuses its content,
+            or Pinocchio reads it differently.
+        InputError: A named joint does not exist or cannot move, no joint moves, or example-robot-data is not installed
+            for a robot given by name.
+        JointLimitError: A joint is held outside its limits.
+    """
+    path = robot_files(file_path("path", path)).urdf
+    if joints is not None:
+        joints = list_of("joints", joints, str, "names")
+    hold = {} if hold is None else dict(instance("hold", hold, dict))
+    for name, value in hold.items():
+        number(f"hold[{name!r}]", value, "a position [rad]")
+    root = read_urdf_xml(path)
+    joints_of = read_urdf(path, root, any_robot=True).joints
+    elements = {name: joint for name, joint in joints_of.items() if joint.kind != "fixed"}
+    # Each joint that mimics or is mimicked, and its counterpart.
+    tied: dict[str, str] = {}
+    for follower, joint in elements.items():
+        for mimic in joint.element.findall("mimic"):
+            leader = str(mimic.get("joint"))
+            tied[follower] = leader
+            tied.setdefault(leader, follower)
+    moving = [name for name in elements if name not in tied] if joints is None else list(joints)
+    movable = ("revolute", "prismatic", "continuous")
+    for name in [*moving, *hold]:
+        if name not in elements:
+            raise InputError(f"robot file {path}: there is no joint {name!r} that moves", path=str(path), joint=name)
+        kind, reason = elements[name].kind, ""
+        if name in tied and name in moving:
+            reason = f"moved: it and {tied[name]!r} move as one (mimic)"
+        elif kind not in movable:
+            reason = f"moved or held: it is {kind}; revolute, prismatic and continuous joints can"
+        if reason:
+            advice = "Name the joints to move; the others stay where they are"
+            words = f"robot file {path}: joint {name!r} cannot be {reason}. {advice}"
+            raise InputError(words, path=str(path), joint=name, reason=reason.partition(": ")[2])
+        if name in moving and name in hold:
+            raise InputError(f"joint {name!r} cannot both move and be held", joint=name)
+    if not moving:
+        raise InputError(f"robot file {path}: no joint is to move", path=str(path))
+    values = standing_values(path, joints_of, hold)
+    held = {name: values[name] for name in elements if name not in moving}
+    for name in held:
+        fix_joint(path, elements[name], values[name])
+    missing = {name: _make_revolute(elements[name].element) for name in moving if elements[name].kind == "continuous"}
+    try:
+        model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
+    except (ValueError, RuntimeError) as error:
+        reason = f"Pinocchio refuses it: {error} (its reader's own words, if any, are on the terminal)"
+        raise RobotFileError(path, reason) from error
+    check_models(path, read_urdf(path, root, any_robot=True), model)
+    for name, attributes in missing.items():
+        for attribute in attributes:
+            limit = model.velocityLimit if attribute == "velocity" else model.effortLimit
+            limit[model.joints[model.getJointId(name)].idx_v] = np.inf
+    return model, held
+
+
+def _make_revolute(joint: ET.Element) -> list[str]:
+    """Make a continuous joint revolute without limits; return its missing limit attributes."""
+    joint.set("type", "revolute")
+    limit = joint.find("limit")
+    if limit is None:
+        limit = ET.SubElement(joint, "limit")
+    missing = [attribute for attribute in ("velocity", "effort") if attribute not in limit.attrib]
+    for attribute in missing:
+        limit.set(attribute, "0")
+    limit.set("lower", str(-ENDLESS))
+    limit.set("upper", str(ENDLESS))
+    return missing
+
+
+def limits_of(
+    model: pin.Model, acceleration: ArrayLike, jerk: ArrayLike | None = None, *, torque: bool = True
+) -> Limits:
+    """Combine a model's velocity and torque limits with acceleration and jerk limits.
+
+    Args:
+        model: Pinocchio's model; its limits are the URDF's. A limit of 0 is used as such.
+        acceleration: (dof,), or one value for all joints [rad/s^2].
+        jerk: (dof,), or one value for all joints [rad/s^3]; None for no limit.
+        torque: Whether torques are limited.
+
+    Raises:
+        InputError: A limit is negative, not finite or missing in the URDF; names the joint.
+    """
+    instance("model", model, pin.Model, "read_kinematics")
+    truth("torque", torque)
+    names = tuple(model.names)[1:]
+
+    def checked(what: str, values: ArrayLike) -> FloatArray:
+        try:
+            array = readonly(np.broadcast_to(as_array(values).astype(np.float64), (model.nv,)))
+        except (TypeError, ValueError, OverflowError) as error:
+            raise InputError(f"{what}: expected one number, or {model.nv}", option=what) from error
+        for name, value in zip(names, array, strict=False):
+            if value == np.inf:
+                raise InputError(f"joint {name!r} has no {what} limit; the motion needs one", joint=name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise InputError(f"joint {name!r}: its {what} limit is {value:g}, expected a number >= 0", joint=name)
+        return array
+
+    return Limits(
+        velocity=checked("velocity", model.velocityLimit),
+        acceleration=checked("acceleration", acceleration),
+        torque=checked("torque", model.effortLimit) if torque else None,
+        jerk=None if jerk is None else checked("jerk", jerk),
+    )
 
 
 def read_waypoints(path: Path | str, joint_names: Sequence[str], slides: Sequence[bool] = ()) -> FloatArray:
@@ -88,7 +227,7 @@ def time_waypoints(
     jerk limits. They stay in the convex hull of the waypoints.
 
     Args:
-        model: Pinocchio's model; all its joints have one coordinate (as from `read_machine`).
+        model: Pinocchio's model; all its joints have one coordinate (as from `read_kinematics`).
         waypoints: (n, dof) configurations within the joint limits; equal ones are an empty motion.
         limits: Limits of the motion, as from `limits_of`.
         deviation_rad: Maximum distance between path and polyline, Euclidean norm; at least 1e-4.
@@ -101,14 +240,14 @@ def time_waypoints(
         OptionError: The deviation, rate or speed is out of range.
         TimingError: No motion within the limits exists; names the joint and the cause.
     """
-    instance("model", model, pin.Model, "read_machine")
+    instance("model", model, pin.Model, "read_kinematics")
     instance("limits", limits, Limits, "limits_of")
     names = tuple(model.names)[1:]
     for name, joint in zip(names, tuple(model.joints)[1:], strict=True):
         if (joint.nq, joint.nv) != (1, 1):
             raise InputError(
                 f"joint {name!r} ({joint.shortname()}) has {joint.nq} coordinates and {joint.nv} velocities; only "
-                "joints with one of each can be timed. hplan.trajectory.read_machine turns continuous joints into such",
+                "joints with one of each can be timed. hplan.trajectory.read_kinematics makes continuous joints so",
                 joint=name,
             )
     points = as_waypoints(waypoints)
@@ -116,10 +255,10 @@ def time_waypoints(
         raise InputError(f"waypoints: {points.shape[1]} values each, expected {len(names)} ({', '.join(names)})")
     lower, upper = model.lowerPositionLimit, model.upperPositionLimit
     outside = (points < lower - 1e-9) | (points > upper + 1e-9)
-    for number, joint in np.argwhere(outside)[:1]:
-        value = float(points[number, joint])
+    for place, joint in np.argwhere(outside)[:1]:
+        value = float(points[place, joint])
         slides, ends = joints_that_slide(model)[joint], (float(lower[joint]), float(upper[joint]))
-        raise JointLimitError(f"waypoint {number + 1}", names[joint], value, *ends, joint_unit(slides).position)
+        raise JointLimitError(f"waypoint {place + 1}", names[joint], value, *ends, joint_unit(slides).position)
     points = np.clip(points, lower, upper)
     if limits.torque is not None:
         for joint in np.flatnonzero((np.ptp(points, axis=0) >= NO_MOTION) & ~(limits.torque > 0.0)):

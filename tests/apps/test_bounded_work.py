@@ -57,7 +57,7 @@ def test_one_cell(robot, scene, motion, tmp_path, column, value):
     assert {"position": "position", "velocity": "velocity"}.get(column, column) in said
 
 
-def test_too_fast_to_be_bounded_is_said_where(robot, scene, motion):
+def test_unboundable_speed_is_located(robot, scene, motion):
     velocity = np.array(motion.velocity)
     velocity[100, 1] = 1e300
     certificate = certified_as_required(robot, scene, replace(motion, velocity=velocity))
@@ -66,7 +66,7 @@ def test_too_fast_to_be_bounded_is_said_where(robot, scene, motion):
 
 
 @pytest.mark.parametrize("seconds", [1e3, 1e6, 1e300])
-def test_a_pause_is_verified(robot, scene, motion, seconds):
+def test_pause_is_verified(robot, scene, motion, seconds):
     tracemalloc.start()
     certificate = certified_as_required(robot, scene, longer(motion, seconds))
     _, peak = tracemalloc.get_traced_memory()
@@ -86,7 +86,7 @@ def test_rows_hardly_apart(robot, scene, motion, gap):
     assert not certified_as_required(robot, scene, replace(again, time=time)).verified
 
 
-def test_a_budget_that_is_used_up_is_said(robot, scene, monkeypatch):
+def test_exhausted_budget_is_reported(robot, scene, monkeypatch):
     """A motion 0.1 mm from an obstacle, with distance queries every 50 um."""
     distance = 2.2 + 0.03 + 0.05 + 1e-4
     wall = [

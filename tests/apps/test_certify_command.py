@@ -39,7 +39,7 @@ def said(capsys, *arguments):
     return status, json.loads(capsys.readouterr().out)
 
 
-def test_a_folder_as_it_was_left(done, capsys):
+def test_unchanged_folder_is_certified(done, capsys):
     status, report = said(capsys, done)
     told = json.loads((done / "report.json").read_text())["certificate"]
     assert status == 0
@@ -49,7 +49,7 @@ def test_a_folder_as_it_was_left(done, capsys):
     assert told["tracking_error_rad"] == pytest.approx(np.radians(0.005))
 
 
-def test_a_trajectory_by_itself(done, capsys):
+def test_trajectory_without_report(done, capsys):
     status, report = said(capsys, done / "trajectory.csv")
     assert status == 0
     assert report["certificate"]["tracking_error_rad"] == 0.0
@@ -60,7 +60,7 @@ def test_a_trajectory_by_itself(done, capsys):
     assert "comes to" in report["certificate"]["violations"][0]
 
 
-def test_a_risk(tmp_path, capsys):
+def test_risk(tmp_path, capsys):
     """A plan with a risk is certified again with it, but not with a smaller risk."""
     scene, folder = tmp_path / "vague.yaml", tmp_path / "out"
     sure = load_scene()
@@ -77,7 +77,7 @@ def test_a_risk(tmp_path, capsys):
     assert "risk" in capsys.readouterr().out
 
 
-def test_a_trajectory_that_was_changed_a_little(job, capsys):
+def test_trajectory_that_was_changed_a_little(job, capsys):
     """The motion is within limits and clear, but differs from the report's."""
     motion = read_csv(job / "trajectory.csv")
     torque = np.array(motion.torque)
@@ -118,7 +118,7 @@ def test_ends(done, capsys, tmp_path):
 
 
 @pytest.mark.parametrize("content", [None, "{", "[]", "{}", '{"certificate": {"digests": null}}'])
-def test_folders_that_are_none(job, capsys, content):
+def test_invalid_folders_are_refused(job, capsys, content):
     (job / "report.json").unlink() if content is None else (job / "report.json").write_text(content)
     assert cli.main(["certify", str(job)]) == 2
     assert "report.json" in capsys.readouterr().err
@@ -145,7 +145,7 @@ def scene(path: Path, radius: float) -> Path:
     return path
 
 
-def test_a_path_becomes_a_job(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_path_becomes_a_job(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = [START, (0.1, 0.55, 0.4, 0.3), (0.3, 0.45, 0.4, 0.3), (0.4, *START[1:])]
     way, given = waypoints(tmp_path / "way.csv", rows), scene(tmp_path / "ball.yaml", 0.05)
     out = tmp_path / "job"
@@ -190,7 +190,7 @@ def test_poses_become_a_job(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert "--poses" in capsys.readouterr().err
 
 
-def test_a_path_in_contact_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_path_in_contact_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     way = waypoints(tmp_path / "way.csv", [START, (0.4, *START[1:])])
     given = scene(tmp_path / "ball.yaml", 0.44)
     out = tmp_path / "job"

@@ -276,7 +276,7 @@ def test_motion_that_cannot_be_certified(fails: Fails, scene_file: SceneFile) ->
     assert "cannot be verified collision-free" in message
 
 
-def test_uncertified_writes_and_says_so(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+def test_uncertified_plan_is_written_and_reported(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     status, folder = run("--tracking-error", 20, "--uncertified")
     report = report_of(folder)
     assert status == 0
@@ -322,7 +322,9 @@ def test_scenes_that_are_refused(
 
 
 @pytest.mark.parametrize("inside", ["", "below"])
-def test_output_where_a_file_stands(tmp_path: Path, inside: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_output_folder_that_is_a_file_is_refused(
+    tmp_path: Path, inside: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     taken = tmp_path / "taken"
     taken.write_text("mine")
     assert main(["--out", str(taken / inside)]) == 2
@@ -361,7 +363,7 @@ def member(folder: Path, links: int, has_yaw: bool) -> Path:
     return write_robot(spec, folder / f"{spec.name}.urdf")[0]
 
 
-def test_a_grid_too_large_for_memory_is_no_fault(
+def test_grid_too_large_for_memory_is_reported(
     scene_file: SceneFile, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """With nine links trees find a path, and a required grid is refused as too large."""

@@ -164,7 +164,7 @@ def test_something_missing_is_one_line(
 @pytest.mark.parametrize(
     ("command", "number"), [("plan", signal.SIGINT), *((command, signal.SIGTERM) for command in INSIDE)]
 )
-def test_a_signal_ends_a_command_and_leaves_its_report_alone(
+def test_signal_ends_a_command_and_leaves_its_report_alone(
     command: str,
     number: signal.Signals,
     folder: Path,
@@ -210,7 +210,7 @@ WITH_SCENE = {
 
 
 @pytest.mark.parametrize("command", WITH_SCENE)
-def test_a_name_that_no_scene_has(
+def test_name_that_no_scene_has(
     command: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(folder)
@@ -220,7 +220,7 @@ def test_a_name_that_no_scene_has(
     assert [name for name in shipped_scenes() if name not in shown] == []
 
 
-def test_a_name_that_no_robot_has(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_name_that_no_robot_has(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["plan", "trellis", "--robot", "nosuch", "--out", str(tmp_path / "out")]) == 2
     shown = capsys.readouterr().err
     assert "robot file nosuch: No such file or directory; robots that ship with hplan: harvester, " in shown
@@ -229,7 +229,7 @@ def test_a_name_that_no_robot_has(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "robots that ship" not in capsys.readouterr().err
 
 
-def test_a_file_goes_before_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_file_goes_before_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert hplan.load_scene("trellis").name == "trellis"
     Path("trellis").mkdir()
@@ -240,7 +240,7 @@ def test_a_file_goes_before_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.mark.parametrize("name", ["./trellis", "trellis.yaml", Path("trellis"), Path("missing"), "no/trellis"])
-def test_what_is_no_name_is_a_file(name: str | Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unknown_name_is_a_file(name: str | Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SceneError, match=r"No such file or directory$"):
         hplan.load_scene(name)

@@ -41,7 +41,7 @@ def test_each_process_compiles_its_half_once() -> None:
     assert {name for name, kinds in (later | everything).items() if kinds > 1} == set()
 
 
-def test_a_first_run_is_one_without_kernels_on_disk(tmp_path: Path) -> None:
+def test_first_run_is_one_without_kernels_on_disk(tmp_path: Path) -> None:
     """The cache's own tests cover the detection."""
     compile_ahead.compile_from_postprocessing_on()
     assert not compile_ahead.is_first_run()
@@ -55,7 +55,7 @@ def begun(code: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen([sys.executable, "-c", code])
 
 
-def test_the_other_process_does_not_outlive_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_process_does_not_outlive_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     other = begun("import time; time.sleep(600)")
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
     monkeypatch.setattr(compile_ahead, "_start", lambda: other)
@@ -71,9 +71,7 @@ def test_the_other_process_does_not_outlive_the_plan(monkeypatch: pytest.MonkeyP
     assert other.returncode is not None
 
 
-def test_the_other_process_runs_nothing_of_the_working_directory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_process_runs_nothing_of_the_working_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     marker = tmp_path / "was-run"
     for name in ("yaml", "numpy", "hplan"):
         (tmp_path / f"{name}.py").write_text(f"open({str(marker)!r}, 'w').close()\nraise SystemExit('run')")

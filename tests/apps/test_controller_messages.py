@@ -55,7 +55,7 @@ def sparse(robot: Robot, apart_s: float, fields: int) -> tuple[dict[str, Any], T
     return message, from_joint_trajectory(message, robot=robot)
 
 
-def test_the_messages_curve_is_that_of_its_fields(robot: Robot) -> None:
+def test_messages_curve_is_that_of_its_fields(robot: Robot) -> None:
     for fields, curve in ((1, "linear"), (2, "cubic"), (3, "quintic")):
         message, motion = sparse(robot, 0.5, fields)
         assert motion.interpolation == curve
@@ -79,7 +79,7 @@ def test_points_with_different_fields_are_refused(robot: Robot) -> None:
 
 
 @pytest.mark.parametrize("apart_s", [1.0, 0.5])
-def test_the_curve_that_the_controller_runs_is_judged(robot: Robot, apart_s: float) -> None:
+def test_curve_that_the_controller_runs_is_judged(robot: Robot, apart_s: float) -> None:
     """The cubic is clear of a ball; the quintic through the same samples is not."""
     _, motion = sparse(robot, apart_s, 3)
     rows = np.stack([motion.position, motion.velocity, motion.acceleration], axis=1)
@@ -116,7 +116,7 @@ def test_straight_lines_have_jumps_of_velocity(robot: Robot) -> None:
         joined([motion, replace(motion.reversed, interpolation="cubic", velocity=0.0 * motion.velocity)])
 
 
-def test_digests_tell_curves_apart(robot: Robot, tmp_path: Path) -> None:
+def test_digests_differ_between_curves(robot: Robot, tmp_path: Path) -> None:
     _, motion = sparse(robot, 0.5, 3)
     others = [trajectory_digest(replace(motion, interpolation=curve)) for curve in ("cubic", "quintic", "linear")]  # type: ignore[arg-type]
     assert len(set(others)) == 3
@@ -124,7 +124,7 @@ def test_digests_tell_curves_apart(robot: Robot, tmp_path: Path) -> None:
     assert trajectory_digest(again) == others[1]
 
 
-def test_a_controller_runs_what_was_certified(robot: Robot, swing: PlanResult) -> None:
+def test_controller_runs_certified_curve(robot: Robot, swing: PlanResult) -> None:
     """hplan's own message: no effort, no accelerations, and the cubics of the certificate."""
     message = to_joint_trajectory(swing.trajectory)
     assert all(point["effort"] == [] == point["accelerations"] for point in message["points"])
@@ -174,7 +174,7 @@ def assert_does_not_jump(
 
 
 @pytest.mark.parametrize("now", [100.2, 100.4, 100.6])
-def test_what_takes_over_needs_a_stamp_and_does_not_jump(robot: Robot, now: float, swing: PlanResult) -> None:
+def test_motion_that_takes_over_needs_stamp_and_does_not_jump(robot: Robot, now: float, swing: PlanResult) -> None:
     for motion, begins_s in handed_out(robot, now).values():
         for send in (to_joint_trajectory, lambda each: write_joint_trajectory(each, Path("never.yaml"))):
             with pytest.raises(OptionError, match="send the arm back"):
@@ -182,7 +182,7 @@ def test_what_takes_over_needs_a_stamp_and_does_not_jump(robot: Robot, now: floa
         assert_does_not_jump(robot, (swing.trajectory, 100.0), (motion, begins_s), now + 0.02)
 
 
-def test_a_motion_that_began_at_0_is_sent_from_a_later_row(swing: PlanResult) -> None:
+def test_motion_that_began_at_0_is_sent_from_a_later_row(swing: PlanResult) -> None:
     """ROS takes a stamp of 0 for the time of receipt, also where a simulated clock began at 0."""
     stop = swing.stop_at(0.4).trajectory
     with pytest.raises(OptionError, match=r"began at 0, send trajectory.since\(row\) with"):
@@ -195,7 +195,7 @@ def test_a_motion_that_began_at_0_is_sent_from_a_later_row(swing: PlanResult) ->
     np.testing.assert_allclose(message["points"][0]["positions"], here, atol=1e-9)
 
 
-def test_a_csv_of_a_stop_begins_where_the_arm_is(robot: Robot, tmp_path: Path) -> None:
+def test_csv_of_a_stop_begins_where_the_arm_is(robot: Robot, tmp_path: Path) -> None:
     found = handed_out(robot, 100.4)
     for name in ("stop", "scaled", "planner stop"):
         motion = found[name][0]
@@ -208,14 +208,14 @@ def test_a_csv_of_a_stop_begins_where_the_arm_is(robot: Robot, tmp_path: Path) -
     write_csv(found["splice"][0], tmp_path / "t.csv")
 
 
-def test_a_recorded_stop_has_a_stamp(robot: Robot, swing: PlanResult, tmp_path: Path) -> None:
+def test_recorded_stop_has_a_stamp(robot: Robot, swing: PlanResult, tmp_path: Path) -> None:
     pytest.importorskip("rosbags")
     write_mcap(swing.stop_at(0.4), tmp_path / "stop.mcap")
     with pytest.raises(OptionError, match="stamp_s"):
         write_mcap(swing.stop_at(0.4), tmp_path / "stop.mcap", stamp_s=0.0)
 
 
-def test_a_motion_that_begins_in_motion_needs_a_stamp(swing: PlanResult) -> None:
+def test_motion_that_begins_in_motion_needs_a_stamp(swing: PlanResult) -> None:
     later = replace(swing.trajectory.since(50), takes_over_s=None)
     with pytest.raises(OptionError, match="stamp_s"):
         to_joint_trajectory(later)
@@ -317,7 +317,7 @@ class Ros:
         self.calls["joint_states"](SimpleNamespace(name=names, position=positions))
 
 
-def test_a_gripper_that_publishes_does_not_erase_the_arm(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gripper_that_publishes_does_not_erase_the_arm(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     ended = Future()
 
     def spin(ros: Ros) -> None:
@@ -345,7 +345,7 @@ def test_a_gripper_that_publishes_does_not_erase_the_arm(robot: Robot, monkeypat
     assert Ros(monkeypatch, spin).is_down
 
 
-def test_an_interrupt_ends_the_node_and_an_error_does_not_pass_for_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupt_ends_the_node_and_an_error_does_not_pass_for_one(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(ros: Ros) -> None:
         raise ros.interrupt
 

@@ -53,7 +53,7 @@ def fill(staging: Path, *more: str) -> None:
         (staging / name).write_text('{"status": "ok"}')
 
 
-def test_all_files_come_to_stand_the_trajectory_last(folder: JobFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_are_moved_with_trajectory_last(folder: JobFolder, monkeypatch: pytest.MonkeyPatch) -> None:
     order: list[str] = []
     replace = Path.replace
 
@@ -71,7 +71,7 @@ def test_all_files_come_to_stand_the_trajectory_last(folder: JobFolder, monkeypa
 
 @pytest.mark.parametrize("fault", [KeyboardInterrupt(), ZeroDivisionError(), OSError(errno.ENOSPC, "full", "x/a.csv")])
 @pytest.mark.parametrize("moved", [0, 1, 2])
-def test_a_fault_at_any_move_leaves_no_trajectory(
+def test_fault_at_any_move_leaves_no_trajectory(
     folder: JobFolder, monkeypatch: pytest.MonkeyPatch, fault: BaseException, moved: int
 ) -> None:
     replace, left = Path.replace, [moved]
@@ -115,7 +115,7 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 """
 
 
-def test_a_signal_between_trajectory_and_report_leaves_the_report_alone(done: Path, tmp_path: Path) -> None:
+def test_signal_between_trajectory_and_report_leaves_the_report_alone(done: Path, tmp_path: Path) -> None:
     """A hangup acts like an interrupt; the exit status is the shell's."""
     out = shutil.copytree(done, tmp_path / "out")
     code = AT_THE_REPORT.format(number=int(signal.SIGHUP))
@@ -127,7 +127,7 @@ def test_a_signal_between_trajectory_and_report_leaves_the_report_alone(done: Pa
     assert (report["status"], report["signal"]) == ("interrupted", "SIGHUP")
 
 
-def test_a_signal_that_is_ignored_stays_so(tmp_path: Path) -> None:
+def test_signal_that_is_ignored_stays_so(tmp_path: Path) -> None:
     """As under nohup."""
     code = (
         "import os, signal, sys\n"
@@ -157,7 +157,7 @@ def test_a_signal_that_is_ignored_stays_so(tmp_path: Path) -> None:
     ],
     ids=lambda words: " ".join(words)[:60],
 )
-def test_what_cannot_be_understood_or_read_changes_no_file(
+def test_invalid_or_unreadable_input_changes_no_file(
     arguments: list[str], done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -174,7 +174,7 @@ def test_what_cannot_be_understood_or_read_changes_no_file(
 
 
 @pytest.mark.parametrize("later", ["report.json", "tour.json"])
-def test_a_failed_job_takes_its_own_files_alone(later: str, done: Path, tmp_path: Path) -> None:
+def test_failed_job_takes_its_own_files_alone(later: str, done: Path, tmp_path: Path) -> None:
     """It removes an earlier plan's files, but keeps a tour's and the user's."""
     (tmp_path / "scene.yaml").write_text(SCENE.replace("1.0, 0.0, 1.9", "1.0, 0.0, 0.6"), encoding="utf-8")
     out = shutil.copytree(done, tmp_path / "out")
@@ -191,7 +191,7 @@ def test_a_failed_job_takes_its_own_files_alone(later: str, done: Path, tmp_path
         assert '"ConfigurationInCollisionError"' in (out / "report.json").read_text()
 
 
-def test_a_cloud_that_the_scene_names_stays(tmp_path: Path) -> None:
+def test_cloud_that_the_scene_names_stays(tmp_path: Path) -> None:
     """It is in the job's folder, under a name that hplan itself writes."""
     scene = hplan.load_scene()
     cloud = PointCloud.of("cloud", [[0.9, 0.0, 2.5]], 0.01)
@@ -256,19 +256,19 @@ def shell(command: str, folder: Path, **environment: str) -> subprocess.Complete
         ("hplan --effort quick <&- >&- 2>&-", ""),
     ],
 )
-def test_what_the_terminal_cannot_take_changes_nothing(command: str, said: str, tmp_path: Path) -> None:
+def test_unencodable_output_changes_nothing(command: str, said: str, tmp_path: Path) -> None:
     done = shell(command, tmp_path)
     assert (done.returncode, done.stderr) == (0, said)
     assert names(tmp_path / "out") == FILES
 
 
 @pytest.mark.parametrize("command", ["hplan --step x >&-", "hplan missing.yaml > /dev/full 2> /dev/full"])
-def test_a_fault_is_one_whatever_the_terminal(command: str, tmp_path: Path) -> None:
+def test_fault_is_reported_on_any_terminal(command: str, tmp_path: Path) -> None:
     assert shell(command, tmp_path).returncode == 2
     assert names(tmp_path) == set()
 
 
-def test_a_name_that_the_terminal_cannot_show(tmp_path: Path) -> None:
+def test_name_that_the_terminal_cannot_show(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text(SCENE, encoding="utf-8")
     done = shell("hplan --effort quick scene.yaml", tmp_path, LC_ALL="C", PYTHONUTF8="0", PYTHONCOERCECLOCALE="0")
     assert (done.returncode, done.stderr) == (0, "")
@@ -282,7 +282,7 @@ def test_a_name_that_the_terminal_cannot_show(tmp_path: Path) -> None:
     assert names(tmp_path / "out") == {"report.json"}
 
 
-def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """The first files fit, the page does not."""
     assert main(["--out", str(tmp_path), "--quiet"]) == 0
     make: Callable[..., int] = os.open

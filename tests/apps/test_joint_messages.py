@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hplan.apps.ros import from_joint_trajectory, to_joint_state, to_joint_trajectory, write_joint_trajectory
-from hplan.apps.ros.message_times import message_time, seconds_of, time_ns
+from hplan.apps.ros.transforms import message_time, seconds_of, time_ns
 from hplan.certificate.digests import trajectory_digest
 from hplan.errors import InputError, OptionError
 from hplan.robot.model import Robot
@@ -103,7 +103,7 @@ def test_files_hold_the_message(swing: Trajectory, tmp_path: Path) -> None:
         assert read(content) == to_joint_trajectory(swing, prefix="left_")
 
 
-def test_joints_in_another_order_and_no_effort(robot: Robot, swing: Trajectory) -> None:
+def test_message_with_other_joint_order_and_without_effort(robot: Robot, swing: Trajectory) -> None:
     message = to_joint_trajectory(swing, effort=False)
     order = [2, 0, 3, 1]
     message["joint_names"] = [message["joint_names"][index] for index in order]

@@ -108,7 +108,7 @@ def transform_of(transform: Any) -> pin.SE3:
     return pin.SE3(turn.toRotationMatrix(), np.array(xyz(transform.translation)))
 
 
-def test_every_topic_is_there_and_what_stays_is_kept(recorded: Recorded) -> None:
+def test_all_topics_exist_and_static_ones_are_latched(recorded: Recorded) -> None:
     assert set(recorded.messages) == set(TOPICS)
     for topic, channel in recorded.channels.items():
         kept = "transient_local" in channel.metadata["offered_qos_profiles"]
@@ -192,7 +192,7 @@ def test_fruit_keeps_its_place_in_the_tool(picked: PlanResult) -> None:
     np.testing.assert_allclose(place, FRUITS[1].center, atol=1e-12)
 
 
-def test_nearest_pairs_are_as_far_apart_as_coal_says(recorded: Recorded, picked: PlanResult) -> None:
+def test_nearest_pairs_agree_with_coal(recorded: Recorded, picked: PlanResult) -> None:
     curve, seen = picked.certificate.clearance_curve, set()
     checker, trajectory = CoalScene(picked.robot, picked.scene.solids_with_goal), picked.trajectory
     assert curve is not None
@@ -265,7 +265,7 @@ def test_obstacles_that_move(picked: PlanResult, tmp_path: Path) -> None:
             assert np.abs(table - np.linalg.norm(ends[1] - ends[0])).min() < 1e-5
 
 
-def test_a_tour(robot: Robot, tmp_path: Path) -> None:
+def test_tour(robot: Robot, tmp_path: Path) -> None:
     drop = Goal(joints_deg=(-30.0, 60.0, 30.0, 30.0))
     options = PlanOptions(effort="quick")
     result = plan_tour(
@@ -280,7 +280,7 @@ def test_a_tour(robot: Robot, tmp_path: Path) -> None:
     assert [(m.ns, m.id, m.action) for m in (*held.markers, *gone.markers)] == [("fruits", 1, 0), ("fruits", 1, 2)]
 
 
-def test_a_run_of_a_motion_its_stop_and_what_follows(picked: PlanResult, tmp_path: Path) -> None:
+def test_recording_of_motion_stop_and_next_motion(picked: PlanResult, tmp_path: Path) -> None:
     """Each is recorded up to the start of the next on its clock."""
     stop = picked.stop_at(0.2)
     later = replace(picked, begins_s=1.5)

@@ -15,8 +15,7 @@ from make_pictures import browse
 from pages import needs_chromium
 
 import hplan
-from hplan.apps.view.motion_data import STRETCHES, motion_data
-from hplan.apps.view.page import MOST_VIOLATIONS, render_page
+from hplan.apps.view.page import MOST_VIOLATIONS, STRETCHES, motion_data, render_page
 from hplan.apps.view.playback import Playback
 from hplan.base.data_files import view_asset
 from hplan.collision.coal_scene import Contact
@@ -84,7 +83,7 @@ def test_charts_are_the_trajectory_as_shares_of_the_limits(robot: Robot, playbac
         assert np.abs(chart["shares"]).max() <= 1001
 
 
-def test_a_long_motion_keeps_its_peaks_in_few_points(robot: Robot) -> None:
+def test_long_motion_keeps_its_peaks_in_few_points(robot: Robot) -> None:
     trajectory = waving(robot, 30_000)
     data = motion_data(robot, load_scene(), Playback(trajectory))
     for chart, name in zip(data["charts"], QUANTITIES, strict=True):
@@ -96,7 +95,7 @@ def test_a_long_motion_keeps_its_peaks_in_few_points(robot: Robot) -> None:
     assert min(data["charts"][3]["shares"][0]) == -2000
 
 
-def test_the_clearance_is_the_certificates(robot: Robot, playback: Playback, result: PlanResult) -> None:
+def test_clearance_is_the_certificates(robot: Robot, playback: Playback, result: PlanResult) -> None:
     clearance = motion_data(robot, load_scene("trellis"), playback)["clearance"]
     curve = result.certificate.clearance_curve
     assert curve is not None
@@ -112,7 +111,7 @@ def test_the_clearance_is_the_certificates(robot: Robot, playback: Playback, res
 # The page.
 
 
-def test_the_page_says_certified_with_clearance_and_nearest_pair(page: str, result: PlanResult) -> None:
+def test_page_shows_certificate_clearance_and_nearest_pair(page: str, result: PlanResult) -> None:
     text = unescape(re.sub(r"<[^>]+>", " ", page[page.index('<section id="certificate"') :].split("</section>")[0]))
     certificate = result.certificate
     assert certificate.nearest is not None
@@ -123,7 +122,7 @@ def test_the_page_says_certified_with_clearance_and_nearest_pair(page: str, resu
     assert certificate.nearest.obstacle in text
 
 
-def test_a_motion_that_is_not_certified_says_so_and_why(robot: Robot, result: PlanResult) -> None:
+def test_page_of_uncertified_motion_gives_reason(robot: Robot, result: PlanResult) -> None:
     violations = tuple(f"violation <{k}>" for k in range(MOST_VIOLATIONS + 3))
     certificate = replace(result.certificate, verified=False, violations=violations)
     page = render_page(robot, load_scene("trellis"), Playback(result.trajectory, certificate=certificate))
@@ -156,7 +155,7 @@ def test_names_of_obstacles_and_fruits_cannot_break_the_panel(robot: Robot, resu
     assert data["clearance"]["pairs"][:4] == [list(pair) for pair in pairs[:4]]
 
 
-def test_the_panel_is_self_contained_and_small(robot: Robot, page: str, playback: Playback) -> None:
+def test_panel_is_self_contained_and_small(robot: Robot, page: str, playback: Playback) -> None:
     assert not re.search(r"""(src|href)\s*=\s*["']?(https?:)?//""", page)
     for asset in ("page.html", "panel.html", "page.css", "player.js"):
         assert not re.search(r"https?://|@import|url\(|innerHTML|document\.write|\beval\b", view_asset(asset))

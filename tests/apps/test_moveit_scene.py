@@ -99,7 +99,7 @@ def read(tmp_path: Path) -> Any:
     return read
 
 
-def test_the_newer_kind(read: Any) -> None:
+def test_newer_kind(read: Any) -> None:
     box, can, ball = read(NEW)
     assert isinstance(box, Box)
     assert (box.name, box.size) == ("Box_0", (0.2, 0.45, 0.3))
@@ -111,7 +111,7 @@ def test_the_newer_kind(read: Any) -> None:
     np.testing.assert_allclose(ball.center, (1.0, 2.0, 3.2))
 
 
-def test_the_older_kind_has_no_poses_of_objects(read: Any) -> None:
+def test_older_kind_has_no_poses_of_objects(read: Any) -> None:
     box, can = read(OLD)
     new, _, _ = read(NEW)
     assert (box.name, can.name) == ("shelf", "can")
@@ -162,7 +162,7 @@ def test_poses_of_object_and_shape_one_after_the_other(
     np.testing.assert_allclose(box.rotation, outer.rotation @ inner.rotation, atol=1e-9)
 
 
-def test_an_open_mesh(read: Any) -> None:
+def test_open_mesh(read: Any) -> None:
     text = one(PYRAMID.replace("4 4", "4 3").replace("1 2 3\n", ""))
     with pytest.raises(SceneError, match="'it'") as error:
         read(text)
@@ -176,7 +176,7 @@ def test_an_open_mesh(read: Any) -> None:
         read(text.replace("0 3 2", "0 3 9"), open_meshes="hull")
 
 
-def test_a_cone_is_held_by_its_pyramid(read: Any) -> None:
+def test_cone_is_held_by_its_pyramid(read: Any) -> None:
     (cone,) = read(one("cone\n0.3 0.8\n"))
     (hull,) = cone.solids
     angles = np.linspace(0.0, 2.0 * np.pi, 500)
@@ -211,7 +211,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_what_is_wrong_and_on_which_line(read: Any, case: str) -> None:
+def test_errors_name_fault_and_line(read: Any, case: str) -> None:
     text, line, reason = WRONG[case]
     with pytest.raises(SceneError) as error:
         read(text)

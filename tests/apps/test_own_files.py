@@ -35,7 +35,7 @@ def contents(folder: Path) -> dict[Path, bytes]:
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_a_job_replaces_its_own_files(out: Path) -> None:
+def test_job_replaces_its_own_files(out: Path) -> None:
     assert all(map(is_own, out.iterdir()))
     assert main([*PLAN, "--out", "out"]) == 0
     assert main(["view", "out", "--no-serve", "--quiet"]) == 0
@@ -44,7 +44,7 @@ def test_a_job_replaces_its_own_files(out: Path) -> None:
 
 @pytest.mark.parametrize("name", ["report.json", "trajectory.csv", "scene.html"])
 @pytest.mark.parametrize("how", ["by hand", "changed", "alone"])
-def test_a_job_replaces_nothing_of_others(name: str, how: str, out: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_job_replaces_nothing_of_others(name: str, how: str, out: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = (out / name).read_text()
     if how == "alone":
         for other in out.iterdir():
@@ -91,7 +91,7 @@ def test_single_files(words: list[str], name: str, out: Path, capsys: pytest.Cap
     del out
 
 
-def test_an_optional_file_of_others_is_found_before_it_is_replaced(out: Path) -> None:
+def test_optional_file_of_others_is_found_before_it_is_replaced(out: Path) -> None:
     (out / "cspace.html").write_text("mine")
     assert main([*PLAN, "--out", "out"]) == 0  # it is not written
     assert main([*PLAN, "--out", "out", "--cspace"]) == 2
@@ -99,7 +99,7 @@ def test_an_optional_file_of_others_is_found_before_it_is_replaced(out: Path) ->
     assert not (out / "trajectory.csv").exists()
 
 
-def test_a_tour_leaves_legs_of_others(tmp_path: Path) -> None:
+def test_tour_leaves_legs_of_others(tmp_path: Path) -> None:
     words = ["tour", "--fruits", "fruit 01", "--csv", "each", "--out", str(tmp_path), "--quiet"]
     assert main(words) == 0
     (tmp_path / "tour-99-mine.csv").write_text("mine")
@@ -111,7 +111,7 @@ def test_a_tour_leaves_legs_of_others(tmp_path: Path) -> None:
     assert leg.read_text() == "mine"
 
 
-def test_a_changed_file_of_one_arm_is_not_replaced(tmp_path: Path) -> None:
+def test_changed_file_of_one_arm_is_not_replaced(tmp_path: Path) -> None:
     """The changed file has the bytes that hplan would write; only the report shows that they are not its own."""
     arms = "".join(
         f"- {{name: {name}, robot: orchard_harvester, position: [0, {y}, 0], start: {{joints_deg: [0, 60, 20, 20]}}, "

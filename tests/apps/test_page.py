@@ -68,7 +68,7 @@ def replayed(commands: list[dict[str, Any]], key: int) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("row", [0, 250, 500])
-def test_the_animation_puts_every_visual_geometry_where_pinocchio_puts_it(robot: Robot, row: int) -> None:
+def test_animation_puts_every_visual_geometry_where_pinocchio_puts_it(robot: Robot, row: int) -> None:
     q = (0.7, *GOAL[1:])
     trajectory = motion(robot, q)
     commands = stage(robot, load_scene(), Playback(trajectory))

@@ -117,7 +117,7 @@ def as_numbers(obstacles: Any) -> list[Any]:
     return [(item.name, item.kind, np.round(item.core, 9).tolist(), item.rounding) for item in obstacles]
 
 
-def test_words_numbers_and_text_say_the_same(tmp_path: Path) -> None:
+def test_words_numbers_and_text_agree(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text(WORDS)
     (tmp_path / "scene.json").write_text(json.dumps(message()["world"]))
     (tmp_path / "moveit.scene").write_text(TEXT)
@@ -177,7 +177,7 @@ WRONG: dict[str, tuple[list[Any], Any, str, str]] = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_what_is_wrong_and_where(case: str) -> None:
+def test_errors_name_fault_and_place(case: str) -> None:
     steps, value, where, reason = WRONG[case]
     scene = message()
     item = scene["world"]["collision_objects"][0]
@@ -300,7 +300,7 @@ def fixed(parent: str, child: str, shift: list[float]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def test_objects_stand_in_fixed_frames() -> None:
+def test_objects_are_in_fixed_frames() -> None:
     transforms = [fixed("table", "tray", [0.0, 0.2, 0.3]), fixed("world", "table", [1.0, 0.0, 0.0])]
     scene = echoed(frame="/tray", fixed_frame_transforms=[*transforms, fixed("world", "world", [0.0, 0.0, 0.0])])
     scene["world"]["collision_objects"][0]["header"]["frame_id"] = "world"

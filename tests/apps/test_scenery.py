@@ -41,7 +41,7 @@ def seen_at(track: dict[str, Any], time: float) -> bool:
     return bool(track["values"][int(np.searchsorted(track["times"], time, side="right")) - 1])
 
 
-def test_capsules_of_one_look_are_copies_of_one_shape(robot: Robot) -> None:
+def test_capsules_of_equal_appearance_share_one_shape(robot: Robot) -> None:
     found = objects(stage(robot, orchard(obstacles=CAPSULES), Playback(motion(robot))))
     body = found["/hplan/obstacles/Wood"]
     walls, ends = body["object"]["children"]
@@ -75,7 +75,7 @@ def test_capsules_of_one_look_are_copies_of_one_shape(robot: Robot) -> None:
     assert [surface["color"] for surface in wires["materials"]] == [METAL.color]
 
 
-def test_a_picked_fruit_changes_its_colour_and_goes_with_the_tool(robot: Robot) -> None:
+def test_picked_fruit_changes_its_colour_and_goes_with_the_tool(robot: Robot) -> None:
     trajectory = motion(robot)
     phases = (Phase("transit", 0.0, 0.6), Phase("approach", 0.6, 1.0), Phase("retreat", 1.0, 2.0))
     commands = stage(robot, orchard(obstacles=CAPSULES), Playback(trajectory, picked={"ripe": 1.0}, phases=phases))
@@ -122,7 +122,7 @@ def test_of_a_tour_the_tool_holds_one_fruit_until_it_lets_it_go(robot: Robot) ->
     assert not any("pose" in path for path in objects(commands))
 
 
-def test_a_cylinder_lies_where_it_is() -> None:
+def test_cylinder_lies_where_it_is() -> None:
     """three.js has it along y: the matrix takes y to the cylinder's axis."""
     can = Cylinder(name="can", center=(1.2, 0.1, 0.9), length=0.3, radius=0.05, rpy_deg=(0.0, 90.0, 30.0))
     (command,) = obstacles(orchard(obstacles=(can,), goal=Goal(joints_deg=(0.0,) * 4)))
@@ -145,7 +145,7 @@ TURNING = Track(
 
 
 @pytest.mark.parametrize("creeping", [False, True])
-def test_what_has_a_track_is_where_the_scene_has_it(robot: Robot, creeping: bool) -> None:
+def test_tracked_obstacles_are_where_the_scene_puts_them(robot: Robot, creeping: bool) -> None:
     box = Box(name="cart", center=(1.6, 0.2, 0.4), size=(0.2, 0.3, 0.4), track=TURNING)
     branch = CAPSULES[0].model_copy(update={"track": TURNING})
     base = Track(times_s=(0.0, 2.0), shifts_m=((0.0, 0.0, 0.0), (0.4, 0.0, 0.0))) if creeping else None

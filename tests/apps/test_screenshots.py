@@ -6,10 +6,12 @@ If a page was changed on purpose, its new picture is in the folder that the fail
 
 from __future__ import annotations
 
+import base64
 import re
 from collections.abc import Callable
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 import pytest
 from make_pictures import browse
@@ -25,7 +27,10 @@ from hplan.planar.pages.yaw_section import yaw_section
 KEPT = Path(__file__).with_name("screenshots")
 DESK, PHONE = (1280, 860), (390, 844)
 
-#: Pixels that are compared as one: letters of another font, and edges of another renderer, are less than that.
+#: The font of all texts, so that lines break as they did whatever fonts are installed; it comes with matplotlib.
+FONT = Path(matplotlib.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")
+
+#: Pixels that are compared as one: edges of another renderer are less than that.
 BLOCK = 20
 
 #: Maximum difference of a block, of 255, and the maximum fraction of blocks that differ by more.
@@ -55,7 +60,10 @@ def cspace_page() -> str:
 
 def taken(page: str, size: tuple[int, int], folder: Path, name: str) -> Image.Image:
     """A page as drawn by Chromium; narrow windows are frames in a wider one."""
-    (folder / "inner.html").write_text(page, encoding="utf-8")
+    font = base64.b64encode(FONT.read_bytes()).decode()
+    face = f"@font-face {{ font-family: own; src: url(data:font/ttf;base64,{font}); }}"
+    own = page.replace("</head>", f"<style>{face} * {{ font-family: own !important; }}</style></head>", 1)
+    (folder / "inner.html").write_text(own, encoding="utf-8")
     html = f'<body style="margin:0"><iframe src="inner.html" style="border:0;width:{size[0]}px;height:{size[1]}px">'
     picture = folder / f"{name}.png"
     done = browse(f"<!doctype html>{html}</iframe></body>", folder, f"--screenshot={picture}", size)
@@ -81,8 +89,8 @@ def blocks(image: Image.Image) -> np.ndarray:
         ("cspace", cspace_page, DESK),
     ],
 )
-def test_pages_look_as_they_did(name: str, page: Callable[[], str], size: tuple[int, int], tmp_path: Path) -> None:
-    seen, kept = blocks(taken(page(), size, tmp_path, name)), blocks(Image.open(KEPT / f"{name}.jpg"))
+def test_page_looks_like_its_picture(name: str, page: Callable[[], str], size: tuple[int, int], tmp_path: Path) -> None:
+    seen, kept = (blocks(image) for image in (taken(page(), size, tmp_path, name), Image.open(KEPT / f"{name}.jpg")))
     assert seen.shape == kept.shape
     differ = np.abs(seen - kept).max(axis=-1) > DIFFERENT
     assert differ.mean() <= SHARE, f"{differ.mean():.1%} of the picture is another: see {tmp_path / f'{name}.jpg'}"

@@ -62,7 +62,7 @@ def test_serves_the_page_until_it_is_closed(view: LiveView) -> None:
     view.close()
 
 
-def test_a_server_that_does_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_server_that_does_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(*_: object) -> None:
         raise OSError("no port is free")
 

@@ -31,7 +31,7 @@ def test_follows_a_planned_motion_and_touches_nothing(robot: Robot) -> None:
     assert arm.time_s == pytest.approx(len(clock) * CONTROL_PERIOD)
 
 
-def test_a_contact_is_noted_unless_it_is_let_through(robot: Robot) -> None:
+def test_contact_is_noted_unless_it_is_let_through(robot: Robot) -> None:
     q = np.radians(STRETCHED)
     tip = robot.tool_positions(q)
     scene = task((0.0, 60.0, 20.0, 20.0), STRETCHED, [Sphere(name="ball", center=tuple(tip.tolist()), radius=0.05)])
@@ -68,7 +68,7 @@ def test_rays_meet_obstacles_fruit_and_the_arm_itself(robot: Robot) -> None:
         arm.cast_rays((np.nan, 0.0, 0.0), rays)
 
 
-def test_what_is_taken_away_is_neither_touched_nor_seen(robot: Robot) -> None:
+def test_removed_obstacle_is_neither_touched_nor_seen(robot: Robot) -> None:
     q = np.radians(STRETCHED)
     tip = robot.tool_positions(q)
     scene = task((0.0, 60.0, 20.0, 20.0), STRETCHED, [Sphere(name="ball", center=tuple(tip.tolist()), radius=0.05)])

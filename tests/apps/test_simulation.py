@@ -15,9 +15,8 @@ from script_loader import load_script
 from shapes import torus
 
 from hplan.apps.execution import simulation
-from hplan.apps.execution.recorded_motion import RecordedMotion, read_motion
 from hplan.apps.execution.simulated_arm import Plant
-from hplan.apps.execution.simulation import HOLD, Execution, execute
+from hplan.apps.execution.simulation import HOLD, Execution, RecordedMotion, execute, read_motion
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import InputError
 from hplan.planning.options import PlanOptions
@@ -66,7 +65,7 @@ def off_deg(result: Execution) -> float:
 
 @needs_mujoco
 @pytest.mark.parametrize("yields", [0.0, 0.02])
-def test_what_gives_way_is_pushed_and_not_touched(yields: float) -> None:
+def test_compliant_obstacle_is_deflected_without_contact(yields: float) -> None:
     """A ball in the path of the hand's tip, 12 mm deep; rigid to the upper arm."""
     robot = load_robot()
     start, goal = (0.0, 0.5, 0.4, 0.2), (0.6, 0.5, 0.4, 0.2)
@@ -88,7 +87,7 @@ def test_what_gives_way_is_pushed_and_not_touched(yields: float) -> None:
 
 
 @needs_mujoco
-def test_the_exported_reference_plan(robot: Robot, scene: Scene, planned: PlanResult, csv_file: Path) -> None:
+def test_exported_reference_plan(robot: Robot, scene: Scene, planned: PlanResult, csv_file: Path) -> None:
     result = execute(robot, scene, read_motion(csv_file))
     assert result.ok
     assert result.contacts == ()
@@ -111,7 +110,7 @@ def test_the_exported_reference_plan(robot: Robot, scene: Scene, planned: PlanRe
 
 
 @needs_mujoco
-def test_a_motion_that_only_grazes(robot: Robot) -> None:
+def test_motion_that_only_grazes(robot: Robot) -> None:
     """The tip grazes a small ball by 2 mm, or misses it by 2 mm."""
     arm = robot.arm
     tip = robot.tool_positions(np.radians([0.0, 30.0, 0.0, 0.0]))
@@ -175,7 +174,7 @@ def test_contacts_of_mujoco_are_those_of_coal(robot: Robot, obstacle: Any) -> No
 # Motions and their files
 
 
-def test_the_reference_is_the_hermite_cubic(robot: Robot) -> None:
+def test_reference_is_the_hermite_cubic(robot: Robot) -> None:
     rng = np.random.default_rng(2)
     # Any cubic in time is its own Hermite interpolant.
     coefficients = rng.normal(size=(4, 4))
@@ -269,7 +268,7 @@ def around_a_post(robot: Robot) -> PlanResult:
 
 
 @needs_mujoco
-def test_a_late_command_is_a_lag_of_as_long(robot: Robot, around_a_post: PlanResult) -> None:
+def test_late_command_is_a_lag_of_as_long(robot: Robot, around_a_post: PlanResult) -> None:
     """Every joint lags by its velocity times the delay, within that model."""
     delay = 5e-3
     late = execute(
@@ -314,7 +313,7 @@ def test_nothing_is_touched_within_the_model(robot: Robot, factor: float) -> Non
 
 
 @needs_mujoco
-def test_execute_says_whether_the_tracking_error_was_kept(
+def test_execute_reports_tracking_error(
     robot: Robot, around_a_post: PlanResult, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write_csv(around_a_post.trajectory, tmp_path / "trajectory.csv")
@@ -326,7 +325,7 @@ def test_execute_says_whether_the_tracking_error_was_kept(
 
 
 @needs_mujoco
-def test_what_slides_is_off_by_millimetres(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_deviation_of_prismatic_joint_is_in_millimetres(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arm, asked = tmp_path / "gantry.urdf", tmp_path / "scene.yaml"
     arm.write_text(GANTRY)
     gantry = load_robot(arm)

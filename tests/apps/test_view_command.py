@@ -52,7 +52,7 @@ def served(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 @pytest.mark.parametrize("kind", ["plans", "tours"])
-def test_the_page_of_a_job_is_the_one_that_it_had(
+def test_page_of_a_job_is_the_one_that_it_had(
     kind: str, request: pytest.FixtureRequest, tmp_path: Path, capsys: pytest.CaptureFixture[str], served: list[str]
 ) -> None:
     done: Path = request.getfixturevalue(kind)
@@ -64,12 +64,12 @@ def test_the_page_of_a_job_is_the_one_that_it_had(
     assert served == []
 
 
-def test_a_job_is_served_and_its_scene_is_found(job: Path, served: list[str]) -> None:
+def test_job_is_served_and_its_scene_is_found(job: Path, served: list[str]) -> None:
     assert main(["view", str(job), "--quiet"]) == 0
     assert served == ["trellis"]
 
 
-def test_a_trajectory_by_itself(job: Path, served: list[str]) -> None:
+def test_trajectory_without_report(job: Path, served: list[str]) -> None:
     """In a scene that it was not planned for: nothing is compared, and its page is no job's."""
     before = (job / "scene.html").read_bytes()
     assert main(["view", str(job / "trajectory.csv"), "tour", "--quiet"]) == 0
@@ -78,7 +78,7 @@ def test_a_trajectory_by_itself(job: Path, served: list[str]) -> None:
     assert (job / "scene.html").read_bytes() == before
 
 
-def test_the_later_job_of_a_folder(job: Path, tours: Path, served: list[str]) -> None:
+def test_later_job_of_a_folder(job: Path, tours: Path, served: list[str]) -> None:
     for file in tours.iterdir():
         shutil.copy(file, job)
     for first, second, name in (("report", "tour", "tour"), ("tour", "report", "trellis")):
@@ -88,7 +88,7 @@ def test_the_later_job_of_a_folder(job: Path, tours: Path, served: list[str]) ->
         assert served.pop() == name
 
 
-def test_another_scene_robot_or_trajectory_is_not_shown(
+def test_other_scene_robot_or_trajectory_is_refused(
     job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], served: list[str]
 ) -> None:
     before = (job / "scene.html").read_bytes()
@@ -102,7 +102,7 @@ def test_another_scene_robot_or_trajectory_is_not_shown(
     assert served == []
 
 
-def test_a_scene_of_ones_own_is_given_again(
+def test_scene_of_ones_own_is_given_again(
     tmp_path: Path, served: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     own = tmp_path / "own.yaml"
@@ -115,9 +115,7 @@ def test_a_scene_of_ones_own_is_given_again(
     assert served == ["own"]
 
 
-def test_the_robot_of_a_job_is_that_of_its_report(
-    job: Path, served: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_robot_of_a_job_is_that_of_its_report(job: Path, served: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     report = json.loads((job / "report.json").read_text())
     (job / "report.json").write_text(json.dumps({**report, "robot": "orchard_harvester"}))
     assert main(["view", str(job), "--quiet"]) == 5  # the digest is another robot's
@@ -130,14 +128,14 @@ def test_the_robot_of_a_job_is_that_of_its_report(
 
 
 @pytest.mark.parametrize("name", ["trajectory.csv", "report.json"])
-def test_what_is_read_is_not_replaced(job: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_input_file_is_not_replaced(job: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     before = (job / name).read_bytes()
     assert main(["view", str(job), "--out", str(job / name)]) == 2
     assert "another file than those that are read" in capsys.readouterr().err
     assert (job / name).read_bytes() == before
 
 
-def test_pages_of_a_row_are_served_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pages_of_row_are_served_unchanged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shown: dict[str, bytes] = {}
 
     def wait_for(_: Any, view: Any) -> None:

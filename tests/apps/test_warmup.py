@@ -72,7 +72,7 @@ def test_jobs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.Cap
 
 
 @pytest.mark.parametrize("terminal", [True, False])
-def test_a_command_tells_what_it_compiles(terminal: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_command_reports_compilation(terminal: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hplan.apps.cli.terminal._EVERY_S", 0.0 if terminal else -1.0)
     console = Console(file=io.StringIO(), force_terminal=terminal, width=80)
     with progress_line(console, quiet=False, kernels=90) as show:
@@ -88,7 +88,7 @@ def test_a_command_tells_what_it_compiles(terminal: bool, monkeypatch: pytest.Mo
         assert said == "compiling, as on every first run: kernel 87 of about 90, 0 s\n"
 
 
-def test_about_as_many_kernels_are_called_as_is_told(tmp_path: Path) -> None:
+def test_number_of_called_kernels_is_as_documented(tmp_path: Path) -> None:
     code = "from hplan.apps.cli.main import main; main(['plan', '--quiet']); from hplan.base import kernels as k; "
     command = [sys.executable, "-c", code + "print(len(k._ASKED))"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=900, check=True)

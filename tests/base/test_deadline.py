@@ -45,7 +45,7 @@ def test_without_a_limit_kernels_go_on_to_their_end() -> None:
     assert _count(until(), 5000) == 5000
 
 
-def test_a_kernel_comes_back_at_the_deadline() -> None:
+def test_kernel_comes_back_at_the_deadline() -> None:
     begin = time.monotonic()
     with time_limit(0.02) as limit:
         assert _count(until(), LOOPS) < LOOPS
@@ -57,7 +57,7 @@ def test_a_kernel_comes_back_at_the_deadline() -> None:
     check_deadline()
 
 
-def test_a_limit_holds_for_its_own_thread_alone() -> None:
+def test_limit_holds_for_its_own_thread_alone() -> None:
     found: list[object] = []
     with time_limit(1e-9):
         other = threading.Thread(target=lambda: found.append((current(), check_deadline())))
@@ -66,7 +66,7 @@ def test_a_limit_holds_for_its_own_thread_alone() -> None:
     assert found == [(None, None)]
 
 
-def test_time_may_be_kept_for_what_comes_afterwards() -> None:
+def test_time_can_be_reserved_for_later_work() -> None:
     with time_limit(1e3) as limit:
         limit.keep(1e4)
         with pytest.raises(TimeIsUpError):
@@ -83,14 +83,14 @@ def _event_set_by_a_timer() -> threading.Event:
 
 
 @pytest.mark.parametrize("of", [lambda event: event, lambda event: event.is_set], ids=["event", "function"])
-def test_a_kernel_comes_back_once_it_is_cancelled(of: Callable[[threading.Event], object]) -> None:
+def test_kernel_comes_back_once_it_is_cancelled(of: Callable[[threading.Event], object]) -> None:
     begin = time.monotonic()
     with pytest.raises(PlanCancelledError) as error, time_limit(cancel=of(_event_set_by_a_timer())):
         count_and_look()
     assert 0.0 < error.value.elapsed_s <= time.monotonic() - begin < SOON
 
 
-def test_what_is_not_wanted_at_the_beginning_is_not_begun() -> None:
+def test_cancelled_work_is_not_started() -> None:
     event = threading.Event()
     event.set()
     with pytest.raises(PlanCancelledError), time_limit(cancel=event):

@@ -33,7 +33,7 @@ def test_follows_a_link(tmp_path):
 
 
 @pytest.mark.parametrize(("make", "reason"), [(Path.mkdir, "it is a folder"), (os.mkfifo, "no ordinary file")])
-def test_a_folder_or_pipe_is_left_alone(make, reason, tmp_path):
+def test_folder_or_pipe_is_left_alone(make, reason, tmp_path):
     make(tmp_path / "a.txt")
     with pytest.raises(OutputError, match=reason):
         write_text(tmp_path / "a.txt", "text")

@@ -45,7 +45,7 @@ def test_imported_when_used(package: Path) -> None:
         _ = wants_heavy.plots.nothing
 
 
-def test_what_is_there_stays(package: Path) -> None:
+def test_existing_names_are_kept(package: Path) -> None:
     import heavy_part.plots as plots
 
     with deferred("heavy_part", "heavy_part.plots"):

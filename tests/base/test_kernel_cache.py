@@ -88,11 +88,11 @@ def kept(compiled: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(compiled, tmp_path / "there"))
 
 
-def test_kept_from_the_first_run_on(kept: Path) -> None:
+def test_kernels_are_cached_from_first_run(kept: Path) -> None:
     assert run(kept) == ("True True 4.0 6.0", "")
 
 
-def test_what_only_compiling_needs_is_not_loaded_again(folder: Path) -> None:
+def test_compiler_modules_are_not_loaded_again(folder: Path) -> None:
     """Not numba's own functions, with all of scipy.linalg: neither for a call nor for an error."""
     (folder / "total.py").write_text(
         "import numpy as np\nfrom hplan.base.kernels import kernel\n\n@kernel\ndef total(n):\n"
@@ -104,7 +104,7 @@ def test_what_only_compiling_needs_is_not_loaded_again(folder: Path) -> None:
     assert run(folder, use) == ("[1.0, 1.0, 1.0] 3.0 False False\nn", "")
 
 
-def test_a_source_that_was_changed_is_compiled_anew(kept: Path) -> None:
+def test_source_that_was_changed_is_compiled_anew(kept: Path) -> None:
     (kept / "kernels.py").write_text(KERNELS.replace("4.0", "6.0"))
     assert run(kept)[0] == "False True 6.0 6.0"
 
@@ -126,7 +126,7 @@ def twice(x):
 """.format(" + ".join(f"(x / {n}.0 if x < {n}.0 else x * x - {n}.0)" for n in range(1, 25)))
 
 
-def test_a_kernel_that_is_not_tiny_is_compiled_once(folder: Path) -> None:
+def test_kernel_that_is_not_tiny_is_compiled_once(folder: Path) -> None:
     """Its callers refer to it by a name that is the same in every process.
 
     If its own file is lost, it is compiled again.
@@ -306,7 +306,7 @@ for function in kernels():
 """
 
 
-def test_what_a_kernel_takes_from_elsewhere_was_changed(folder: Path) -> None:
+def test_change_of_dependency_recompiles_kernel(folder: Path) -> None:
     """The kernels' file is unchanged; each uses another part of the changed file."""
 
     def answers(text: str) -> dict[str, tuple[str, float]]:
@@ -345,7 +345,7 @@ def test_what_a_kernel_takes_from_elsewhere_was_changed(folder: Path) -> None:
     assert after["unchanged"][0] == "True"
 
 
-def test_a_constant_changed_while_the_program_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_constant_changed_while_the_program_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It may or may not be in the code that numba compiles later, so that is not cached."""
     monkeypatch.setattr(nb.config, "CACHE_DIR", str(tmp_path))
     assert _shifted(1) == 2
@@ -363,7 +363,7 @@ def _shifted(x: float) -> float:
     return x + SHIFT
 
 
-def test_what_is_not_known_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unknown_dependency_is_not_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(nb.config, "CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(kernels, "_GIVEN", set())
     with pytest.warns(KernelCacheWarning, match=r"_coloured: nothing is known of <Colour.RED: 1>"):
@@ -399,7 +399,7 @@ def test_no_room_to_keep_them(folder: Path) -> None:
     assert list(folder.rglob("*.nbc*")) == []
 
 
-def test_an_installation_that_nobody_may_write_to(tmp_path: Path) -> None:
+def test_read_only_installation_uses_other_cache(tmp_path: Path) -> None:
     """The package without a writable home; the program uses few kernels."""
     site = tmp_path / "site"
     shutil.copytree(ROOT / "hplan", site / "hplan", ignore=shutil.ignore_patterns("__pycache__"))
@@ -443,7 +443,7 @@ def _all_of_them(x: float, times: int) -> float:
     return _power(x, times) + _power(x, _THREE) + _twice(x)
 
 
-def test_a_constant_is_no_kind_of_its_own() -> None:
+def test_constant_argument_adds_no_signature() -> None:
     assert _all_of_them(2.0, 5) == 32.0 + 8.0 + 4.0
     assert isinstance(_THREE, np.int64)
     assert len(_power.overloads) <= 1  # 0 if the calling kernel comes from disk

@@ -27,7 +27,7 @@ def test_distances_are_rounded_down(distance_m: float, digits: int, shown: str) 
 NEAR, NEARER = 0.20660599951286857, math.nextafter(0.20660599951286857, 0.0)
 
 
-def test_the_first_of_those_that_tie() -> None:
+def test_first_of_those_that_tie() -> None:
     assert NEARER < NEAR
     values = [1.0, NEAR, math.inf, NEARER, -1.0, NEAR]
     assert ties.argsort(values).tolist() == [4, 1, 3, 5, 0, 2]
@@ -69,7 +69,7 @@ class Pair(Record):
     nested: object
 
 
-def test_a_record_shows_small_values_and_sizes_of_large_ones() -> None:
+def test_record_shows_small_values_and_sizes_of_large_ones() -> None:
     inner = Pair(readonly([1.0]), readonly([2.0]), (), None)
     pair = Pair(readonly([0.5, np.pi]), readonly(np.zeros((40, 3))), ("x", "y"), inner)
     shown = "Pair(few=[0.5     , 3.141593], many=<float64 (40, 3)>, names=('x', 'y'), nested=Pair(...))"

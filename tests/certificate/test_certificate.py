@@ -147,7 +147,7 @@ def test_random_motions_are_judged_as_dense_sampling_judges_them(robot, scene):
     assert min(shown, refused) >= 10
 
 
-def test_no_more_is_certified_than_what_is_left_when_the_motion_ends_before_the_next_look(robot, scene):
+def test_certified_clearance_is_bounded_when_motion_ends_before_next_query(robot, scene):
     """The stretched arm turns toward a ball at maximum speed, and stops before it."""
     ball = Sphere(name="far", center=(0.0, 2.0, 0.6), radius=0.05)
     world = scene.with_obstacles([ball])

@@ -15,7 +15,7 @@ from planned import straight
 
 import hplan
 from hplan.apps.cli.main import main
-from hplan.apps.execution.recorded_motion import read_motion
+from hplan.apps.execution.simulation import read_motion
 from hplan.certificate import goal_contact
 from hplan.certificate.certificate import certify
 from hplan.certificate.clearance_proof import point_at, prove_clearance
@@ -215,7 +215,7 @@ def test_no_body_travels_farther_than_its_bound(load, name):
 
 
 @pytest.mark.parametrize("name", ["panda", "lift"])
-def test_what_short_pieces_have_in_common_bounds_travel_between_any_two_places(load, name):
+def test_common_bound_of_short_segments_bounds_travel(load, name):
     """A smooth motion with samples so close that several segments share one bound."""
     robot, rng = load(name), np.random.default_rng(16)
     checker = CoalScene(robot, [Sphere(name="far", center=(9.0, 0.0, 0.0), radius=0.1)])
@@ -282,7 +282,7 @@ def test_tracking_errors_take_from_the_clearance(load, name):
             assert distances.min() >= loose.min_clearance_m - 1e-9
 
 
-def test_clouds_and_what_stands_still(load):
+def test_clouds_and_static_bodies_are_certified(load):
     robot = load("toy")
     start, end = free_configurations(robot, 2, seed=15)
     trajectory = motion_between(robot, start, end)
@@ -323,7 +323,7 @@ def straight_in(robot: Robot, grasp: np.ndarray, length: float, aside: float = 0
 
 
 @pytest.mark.parametrize("name", ["toy", "panda", "ur5"])
-def test_fruit_may_be_touched_on_a_straight_approach_along_the_tools_axis(load, name):
+def test_fruit_may_be_touched_on_straight_approach_along_tool_axis(load, name):
     """Within the window, between samples too, all motions keep line and direction.
 
     Motions from the side have no window.
@@ -424,7 +424,7 @@ def scene(*obstacles: Sphere) -> Scene:
 
 @pytest.mark.parametrize(("far", "clear"), [(0.05, True), (6.0, True), (8.0, False), (1e3, False), (1e300, False)])
 @pytest.mark.parametrize("kind", ["at rest", "of velocity"])
-def test_a_trolley_may_be_off_as_far_as_the_tracking_error_says(kind: str, far: float, clear: bool) -> None:
+def test_trolley_may_deviate_by_tracking_error(kind: str, far: float, clear: bool) -> None:
     """For any kind of joint: more than 2 pi is a full turn of a revolute joint alone."""
     ball = Sphere(name="ball", center=(9.0, 0.0, 1.0), radius=0.1)
     # The fastest sample is at 0.1875 m/s, and its cubic's bound is slightly larger.
@@ -432,13 +432,13 @@ def test_a_trolley_may_be_off_as_far_as_the_tracking_error_says(kind: str, far: 
     assert certify(ROBOT, scene(ball), motion(), **options).verified == clear
 
 
-def test_a_turn_that_is_off_by_more_than_a_whole_one_is_where_it_is() -> None:
+def test_turn_that_is_off_by_more_than_a_whole_one_is_where_it_is() -> None:
     largest = largest_deviations(ROBOT, TrackingModel(1e9), np.zeros((1, 2)))
     assert largest[0].tolist() == pytest.approx([1e6, math.tau])
     assert (largest_deviations(ROBOT, TrackingModel(0.1, 2.0), np.full((1, 2), 0.5)) == 1.1).all()
 
 
-def test_an_arm_at_rest_may_be_off_as_far_too() -> None:
+def test_arm_at_rest_may_be_off_as_far_too() -> None:
     coming = Track(times_s=(0.0, 60.0), shifts_m=((0.0, 0.0, 0.0), (-5.0, 0.0, 0.0)))
     ball = Sphere(name="ball", center=(15.0, 0.0, 1.0), radius=0.1, track=coming)
     assert certify(ROBOT, scene(ball), motion(), tracking_error=6.0).clear_until_s == math.inf
@@ -447,7 +447,7 @@ def test_an_arm_at_rest_may_be_off_as_far_too() -> None:
     assert 4.0 < found.clear_until_s < 60.0
 
 
-def test_a_place_beyond_the_rail_is_told_in_metres() -> None:
+def test_position_beyond_rail_is_reported_in_metres() -> None:
     with pytest.raises(JointLimitError, match=r"'rail' is at 2.5 m, outside its limits \[-2, 2\] m"):
         ROBOT.check_configuration([2.5, 0.0], "start")
     with pytest.raises(JointLimitError, match=r"'boom' is at 2.5 rad, outside its limits \[-2, 2\] rad"):
@@ -456,7 +456,7 @@ def test_a_place_beyond_the_rail_is_told_in_metres() -> None:
         load_robot(GANTRY, hold={"rail": 2.5})
 
 
-def test_degrees_of_what_slides_are_refused() -> None:
+def test_degrees_of_prismatic_joints_are_refused() -> None:
     ends = Start(joints_rad=(0.2, 0.3)), Goal(joints_rad=(0.7, 0.5))
     degrees = {"start": Start(joints_deg=(0.2, 17.0))}, {"goal": Goal(joints_deg=(0.7, 28.0))}
     for given in degrees:
@@ -467,7 +467,7 @@ def test_degrees_of_what_slides_are_refused() -> None:
                 call()
 
 
-def test_columns_of_what_slides_are_in_metres(tmp_path: Path) -> None:
+def test_columns_of_prismatic_joints_are_in_metres(tmp_path: Path) -> None:
     found = hplan.plan(ROBOT, scene()).trajectory
     path = hplan.write_csv(found, tmp_path / "motion.csv")
     header = path.read_text().splitlines()[0]
@@ -480,7 +480,7 @@ def test_columns_of_what_slides_are_in_metres(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_waypoints(path, ROBOT.joint_names, ROBOT.slides), found.position)
 
 
-def test_radians_of_what_slides_are_refused(tmp_path: Path) -> None:
+def test_radians_of_prismatic_joints_are_refused(tmp_path: Path) -> None:
     path = hplan.write_csv(hplan.plan(ROBOT, scene()).trajectory, tmp_path / "motion.csv")
     as_before = tmp_path / "before.csv"
     as_before.write_text(
@@ -493,7 +493,7 @@ def test_radians_of_what_slides_are_refused(tmp_path: Path) -> None:
         read_waypoints(as_before, ROBOT.joint_names, ROBOT.slides)
 
 
-def test_limits_of_what_slides_are_in_metres(tmp_path: Path) -> None:
+def test_limits_of_prismatic_joints_are_in_metres(tmp_path: Path) -> None:
     path = tmp_path / "a.limits.yaml"
     for text, names in (
         ("acceleration_rad_s2: {boom: 4}\nacceleration_m_s2: {rail: 3}", None),
@@ -514,12 +514,12 @@ def test_limits_of_what_slides_are_in_metres(tmp_path: Path) -> None:
                 load_robot(GANTRY, limits=path)
 
 
-def test_a_trajectory_that_does_not_say_what_is_in_metres_is_refused() -> None:
+def test_trajectory_without_units_of_prismatic_joints_is_refused() -> None:
     with pytest.raises(InputError, match="'rail' slides: give Trajectory"):
         certify(ROBOT, scene(), replace(motion(), slides=()))
 
 
-def test_a_trajectory_made_by_hand_is_written_in_the_robots_units(tmp_path: Path) -> None:
+def test_trajectory_made_by_hand_is_written_in_the_robots_units(tmp_path: Path) -> None:
     by_hand = replace(motion(), slides=())
     path = hplan.write_csv(by_hand, tmp_path / "motion.csv", ROBOT)
     assert path.read_text().startswith("time_s,rail_pos_m,")
@@ -528,7 +528,9 @@ def test_a_trajectory_made_by_hand_is_written_in_the_robots_units(tmp_path: Path
         hplan.write_csv(replace(motion(), slides=(False, False)), path, ROBOT)
 
 
-def test_degrees_alone_are_no_tracking_error_of_what_slides(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_degrees_alone_are_no_tracking_error_of_prismatic_joints(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     urdf, ends = tmp_path / "gantry.urdf", tmp_path / "scene.yaml"
     urdf.write_text(GANTRY)
     hplan.save_scene(scene(Sphere(name="ball", center=(9.0, 0.0, 1.0), radius=0.1)), ends)

@@ -83,7 +83,7 @@ def check_against_coal(certificate: Certificate, step: float = 2e-3) -> int:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_curve_is_nowhere_above_the_true_clearance(robot: Robot, seed: int) -> None:
+def test_curve_is_nowhere_above_the_true_clearance(robot: Robot, seed: int) -> None:
     random = np.random.default_rng(seed)
     motion = random_motion(robot, random, 2.0)
     scene = random_scene(random)
@@ -154,7 +154,7 @@ def test_of_a_plan_it_covers_all_phases(picked: Any) -> None:
     }
 
 
-def test_a_motion_backwards_has_the_curve_backwards(picked: Any) -> None:
+def test_motion_backwards_has_the_curve_backwards(picked: Any) -> None:
     there, back = picked.certificate.clearance_curve, picked.certificate.reversed.clearance_curve
     clock = np.linspace(0.0, there.time[-1], 500)
     np.testing.assert_allclose(
@@ -227,7 +227,7 @@ def test_it_is_what_is_seen_at_many_times(values):
     assert most - 1e-12 <= position_use(motion) <= most + 1e-5
 
 
-def test_a_swing_that_turns_before_the_limit_keeps_it():
+def test_swing_that_turns_before_the_limit_keeps_it():
     """Its Bezier points are beyond the limit of 3 rad, and it is not."""
     motion = trajectory(np.array([0.0, 1.0]), np.array([[2.9, 0.0], [2.9, 0.0]]), np.array([[0.39, 0.0], [-0.39, 0.0]]))
     assert np.abs(motion.segments[0]).max() > 3.0
@@ -240,6 +240,6 @@ def test_numbers_that_are_huge_in_between_are_seen(fast):
     assert position_use(motion) >= 0.01 * fast
 
 
-def test_what_overflows_is_no_use():
+def test_overflow_gives_no_bound():
     motion = trajectory(np.array([0.0, 1e200]), np.zeros((2, 2)), np.array([[1e200, 0.0], [0.0, 0.0]]))
     assert position_use(motion) == np.inf

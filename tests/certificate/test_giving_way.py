@@ -74,7 +74,7 @@ def motions(arm):
     return found
 
 
-def test_field_and_coal_agree_on_what_is_left_to_each_link():
+def test_field_and_coal_agree_on_compliance_for_each_link():
     rng, robot = np.random.default_rng(5), load_robot()
     solids = [Box(name="box", center=(0.9, 0.4, 1.2), size=(0.2, 0.2, 0.2), yields=0.01)]
     solids += PointCloud.of("cloud", rng.normal((1.0, -0.5, 1.2), 0.1, (300, 3)), 0.01, yields=0.015).solids
@@ -94,7 +94,7 @@ def test_field_and_coal_agree_on_what_is_left_to_each_link():
         assert ((by_link <= 1e-6) == (field <= 1e-6)).all()
 
 
-def test_pushed_no_deeper_than_allowed_by_the_links_that_may_and_all_of_it_told(motions):
+def test_deflections_are_allowed_and_reported(motions):
     yields = {item.name: item.yields for scene, *_ in motions for item in (*scene.obstacles, *scene.fruits)}
     assert len(motions) > 5
     pushing = 0
@@ -115,7 +115,7 @@ def test_pushed_no_deeper_than_allowed_by_the_links_that_may_and_all_of_it_told(
     assert pushing > 10
 
 
-def test_what_is_pushed_deeper_than_allowed_is_not_verified(arm, motions):
+def test_excessive_deflection_is_not_verified(arm, motions):
     """A bound on the largest depth, just above the true depth and just below it."""
     outcomes = []
     for scene, result, _, found in motions:
@@ -138,7 +138,7 @@ def test_what_is_pushed_deeper_than_allowed_is_not_verified(arm, motions):
     assert sum(verified for may, verified in outcomes if may) >= len(outcomes) // 4
 
 
-def test_pushes_of_a_motion_that_is_not_verified_are_as_deep_as_they_are(arm, motions):
+def test_deflections_of_unverified_motion_are_exact(arm, motions):
     """The bound of each obstacle in contact is a third of the true depth."""
     seen = 0
     for scene, result, _, found in motions:
@@ -176,7 +176,7 @@ def test_other_links_may_push_only_where_they_are_named(arm, motions):
         plan(arm, scene.model_copy(update={"yield_links": ("gripper",)}))
 
 
-def test_the_last_two_joints_links_push_and_no_deeper_than_they_are_thick():
+def test_last_two_links_deflect_up_to_their_thickness():
     planar, general = load_robot(), load_robot("ur5")
     assert pushing_links(planar, None) == ("forearm", "hand")
     assert pushing_links(general, None) == ("wrist_2_link", "wrist_3_link", "ee_link")
@@ -187,7 +187,7 @@ def test_the_last_two_joints_links_push_and_no_deeper_than_they_are_thick():
     assert 0.0 < yielded(general, cloud.solids, None)[0] < cloud.solids[0].rounding
 
 
-def test_sections_of_what_gives_way_are_smaller_to_the_links_that_push():
+def test_sections_of_compliant_obstacles_are_smaller_for_deflecting_links():
     robot, scene = load_robot(), orchard(1)
     soft = World.of(robot, scene.solids_with_goal)
     firm = World.of(robot, [solid.model_copy(update={"yields": 0.0}) for solid in scene.solids_with_goal])
@@ -224,7 +224,7 @@ def hanging(arm):
     return found
 
 
-def test_what_a_fruit_hangs_from_gives_way_while_that_fruit_may_be_touched(arm, hanging):
+def test_support_of_fruit_is_compliant_while_fruit_may_be_touched(arm, hanging):
     assert len(hanging) > 3
     for scene, result, clock, found in hanging:
         wood, windows = scene.goal_fruit.hangs_from, result.certificate.contacts
@@ -250,7 +250,7 @@ def test_what_a_fruit_hangs_from_gives_way_while_that_fruit_may_be_touched(arm, 
         assert not certify(arm, shallow, result.trajectory, goal_contact=contact).verified
 
 
-def test_field_and_coal_agree_on_what_fruit_hangs_from(arm, hanging):
+def test_field_and_coal_agree_on_supports(arm, hanging):
     rng = np.random.default_rng(3)
     for scene, result, *_ in hanging[:3]:
         fruit = scene.goal_fruit
@@ -267,7 +267,7 @@ def test_field_and_coal_agree_on_what_fruit_hangs_from(arm, hanging):
         assert {(0, False), (2, True)} <= seen
 
 
-def test_what_fruit_hangs_from_is_rigid_to_links_that_may_not_push(arm):
+def test_support_is_rigid_for_other_links(arm):
     q = np.array([1.0, 0.6, 0.5, 0.3])
     for link, name in enumerate(arm.arm.link_names):
         beside = arm.arm.half_widths[link] * np.array([-np.sin(q[0]), np.cos(q[0]), 0.0])
@@ -283,7 +283,7 @@ def test_what_fruit_hangs_from_is_rigid_to_links_that_may_not_push(arm):
                 near.check_clear(q, "start")
 
 
-def test_scenes_keep_what_fruit_hangs_from():
+def test_scenes_keep_supports_of_fruit():
     scene = orchard(3, hangs_within=0.02)
     assert parse_scene(dump_scene(scene)) == scene
     assert "hangs_from" not in dump_scene(orchard(3))

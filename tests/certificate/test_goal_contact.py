@@ -65,7 +65,7 @@ def through(robot, *configurations, seconds=4.0, rate=250):
     return joined(parts)
 
 
-def test_what_plan_exports_certify_verifies(robot, picked, tmp_path):
+def test_certify_verifies_exported_plan(robot, picked, tmp_path):
     scene, result = picked
     assert result.grasp.distance > 0.0
     again = read_csv(write_csv(result.trajectory, tmp_path / "t.csv"))
@@ -125,7 +125,7 @@ def test_deeper_than_to_the_centre_is_refused(robot, picked):
         assert certificate.verified is verified, (deeper, certificate.violations)
 
 
-def test_a_second_visit_is_refused(robot, picked):
+def test_second_visit_is_refused(robot, picked):
     """Straight to the fruit and back twice: a picked fruit is gone."""
     scene, _ = picked
     result = hplan.plan(robot, scene, hplan.PlanOptions(effort="quick"))  # with a stop at the stand-off
@@ -175,7 +175,7 @@ def test_tool_that_is_not_there(robot, picked):
             assert "'hand'" in certificate.violations[1]
 
 
-def test_without_a_straight_approach_the_certificate_says_so(robot):
+def test_certificate_reports_missing_straight_approach(robot):
     """A fruit behind which a wall leaves no room for an approach along the last link."""
     scene = load_scene(scenes_dir() / "orchard-row.yaml")
     scene = scene.model_copy(update={"goal": Goal(fruit="fruit 02")})
@@ -259,7 +259,7 @@ def reference() -> PlanResult:
 
 
 @pytest.mark.parametrize("part", np.linspace(0.0, 1.0, 6))
-def test_stops_are_certified_without_a_look_and_clear(robot, part):
+def test_stops_are_certified_without_distance_query_and_clear(robot, part):
     result = reference()
     scene = result.motion.problem.scene
     found = result.stop_at(part * result.trajectory.duration)
@@ -272,7 +272,7 @@ def test_stops_are_certified_without_a_look_and_clear(robot, part):
     assert_clear(robot, scene, looked_at)
 
 
-def test_the_clearance_is_less_by_what_the_arm_is_off_the_path():
+def test_clearance_is_reduced_by_deviation_from_path():
     result = reference()
     found = result.stop_at(0.5)
     assert found.off_path_m > 0.0
@@ -294,7 +294,7 @@ def test_stops_in_a_pick(part):
     assert anew.certificate.verified, anew.certificate.violations
 
 
-def test_where_the_clearance_does_not_suffice_it_is_shown_anew(robot):
+def test_insufficient_clearance_is_proved_again(robot):
     result = reference()
     scene = result.motion.problem.scene
     tight = replace(result.certificate, min_clearance_m=1e-6)
@@ -304,7 +304,7 @@ def test_where_the_clearance_does_not_suffice_it_is_shown_anew(robot):
     assert found.certificate.checks > tight.checks
 
 
-def test_what_is_not_clear_is_not_certified(robot):
+def test_stop_in_contact_is_not_certified(robot):
     """An obstacle on the path, and an invalid certificate."""
     result = reference()
     scene = result.motion.problem.scene
@@ -339,7 +339,7 @@ def test_faster_with_tracking_errors_that_grow_with_speed(robot):
     assert found.certificate.min_clearance_m <= anew.min_clearance_m + 1e-4
 
 
-def test_an_obstacle_that_comes_into_the_base_only_while_the_slower_motion_runs(robot):
+def test_obstacle_that_comes_into_the_base_only_while_the_slower_motion_runs(robot):
     start, goal = (0.0, 45.0, 45.0, 45.0), (60.0, 30.0, 50.0, 40.0)
     comes = Track(times_s=(0.0, 8.0), shifts_m=((0.0, 0.0, 0.0), (3.0, 0.0, 0.0)))
     crate = Box(name="crate", center=(-3.0, 0.0, 0.1), size=(0.2, 0.2, 0.2), track=comes)

@@ -81,7 +81,7 @@ def lifted(robot: Robot, lift: float, bend: float = 0.3) -> np.ndarray:
 
 @pytest.mark.parametrize("turns", [False, True])
 @pytest.mark.parametrize("lift", [-0.8, -0.1, 0.0, 0.1, 0.5])
-def test_a_boom_over_its_own_plate_is_judged_as_it_is(turns, lift):
+def test_boom_over_its_own_plate_is_checked_exactly(turns, lift):
     robot = ROBOTS[turns]
     assert robot.planar is not None
     start, goal = lifted(robot, 1.0), lifted(robot, lift)
@@ -94,7 +94,7 @@ def test_a_boom_over_its_own_plate_is_judged_as_it_is(turns, lift):
 
 
 @pytest.mark.parametrize("turns", [False, True])
-def test_the_plan_knows_where_the_plate_begins(turns):
+def test_plan_knows_where_the_plate_begins(turns):
     """A goal in the plate is refused, and one on its other side as out of reach; one just above it is reached."""
     robot = ROBOTS[turns]
     start = lifted(robot, 1.0)
@@ -105,7 +105,7 @@ def test_the_plan_knows_where_the_plate_begins(turns):
     assert min(depth(robot, q) for q in reached.trajectory.position) >= reached.certificate.min_clearance_m - 1e-9
 
 
-def test_the_way_under_the_plate_is_barred():
+def test_way_under_the_plate_is_barred():
     """At -100 degrees the boom hangs behind the plate: from above it no motion leads there."""
     robot = load_robot(
         f'<robot name="shelf"><link name="base_link">{box("0.6 0.4 0.02", "0 0 0")}</link>'
@@ -121,7 +121,7 @@ def test_the_way_under_the_plate_is_barred():
 
 
 @pytest.mark.parametrize("turns", [False, True])
-def test_motion_and_sway_of_what_is_as_it_is(turns):
+def test_motion_and_displacement_of_exact_bodies_are_bounded(turns):
     """No point of the boom travels farther, seen from the plate."""
     robot, random = ROBOTS[turns], np.random.default_rng(1)
     assert len(shaped_pairs(robot, 0.0).checked) == 1
@@ -138,7 +138,7 @@ def test_motion_and_sway_of_what_is_as_it_is(turns):
         assert changed <= sways[mover_of[row], 0] + 1e-6
 
 
-def test_a_clearance_is_kept_as_far_as_it_can_be():
+def test_clearance_is_kept_as_far_as_possible():
     robot = ROBOTS[False]
     start, goal = lifted(robot, 1.0), lifted(robot, 0.3)
     assert certify(robot, scene(start, goal, 0.01), straight(robot, start, goal, 5.0, 6.0)).verified

@@ -70,7 +70,7 @@ def turret_radius(robot):
 
 
 @pytest.mark.parametrize("kind", ["box", "mesh"])
-def test_a_counterweight_does_not_sweep_through_a_post(tmp_path, kind):
+def test_counterweight_does_not_sweep_through_a_post(tmp_path, kind):
     corners = CUBE_CORNERS * (0.25, 0.05, 0.05)
     counterweight = COUNTERWEIGHT if kind == "box" else mesh(tmp_path / "weight.obj", corners, (-0.3, 0.0, 0.45))
     robot = fitted(tmp_path, {"turret": [counterweight]})
@@ -154,7 +154,7 @@ def _turned(yaw, placement):
     return turn @ placement.rotation, turn @ placement.translation
 
 
-def test_the_ground_is_below_whatever_the_yaw(tmp_path):
+def test_ground_is_below_at_all_yaws(tmp_path):
     """A counterweight may rest on the floor, and a box may turn above a table."""
     robot = fitted(tmp_path, {"turret": [box((0.5, 0.1, 0.2), (-0.3, 0.0, 0.1))]})
     floor = Box(name="floor", center=(0.0, 0.0, -0.05), size=(6.0, 6.0, 0.1))
@@ -168,7 +168,7 @@ def test_the_ground_is_below_whatever_the_yaw(tmp_path):
     assert shown(certify(robot, scene_of(REST, FAR, [floor]), motion))
 
 
-def test_what_may_stand_higher_than_seen_is_in_the_way_of_the_turret(tmp_path):
+def test_uncertain_height_counts_for_turret(tmp_path):
     """An obstacle 5 mm below it may be 9 mm higher; the supporting floor may not."""
     robot = fitted(tmp_path, {"turret": [box((0.5, 0.1, 0.2), (-0.3, 0.0, 0.1))]})
     bottom = next(shape.bottom for shape in turning_shapes(robot))
@@ -181,7 +181,7 @@ def test_what_may_stand_higher_than_seen_is_in_the_way_of_the_turret(tmp_path):
 
 @pytest.mark.parametrize("depth", [1e-4, 5e-4, 9e-4, -1e-3])
 @pytest.mark.parametrize("kind", ["ball", "box"])
-def test_what_the_turret_grazes_from_above_is_in_its_way(tmp_path, kind, depth):
+def test_obstacle_grazed_by_turret_from_above_blocks(tmp_path, kind, depth):
     """Even a small overlap: the turret does not rest on it, but turns into it."""
     robot = fitted(tmp_path, {"turret": [box((0.2, 0.1, 0.1), (-0.3, 0.0, 0.45))]})
     top = max((shape for shape in base_shapes(robot) if shape.carrier == TURRET), key=lambda shape: shape.radius).bottom
@@ -193,7 +193,7 @@ def test_what_the_turret_grazes_from_above_is_in_its_way(tmp_path, kind, depth):
     assert bool(shown(certify(robot, scene_of(REST, FAR, [obstacle]), motion))) == (depth < 0.0)
 
 
-def test_what_the_turret_may_not_touch_counts_with_its_uncertainty(tmp_path):
+def test_obstacle_of_turret_counts_with_its_uncertainty(tmp_path):
     robot = fitted(tmp_path, {"turret": [COUNTERWEIGHT]})
     ball = Sphere(name="ball", center=(0.0, 0.62, 0.45), radius=0.05, sigma=0.01)  # 20 mm from the sweep
     motion = quintic(robot, REST, (-170.0, *REST[1:]))
@@ -270,7 +270,7 @@ def test_turret_and_pedestal_that_always_or_never_touch_are_left_out(tmp_path):
     assert len(own(robot, "turret", deviation=gap / 0.3)) == 1
 
 
-def test_always_and_ever_are_sure():
+def test_contact_at_all_yaws_and_at_any_yaw_are_certain():
     rng = np.random.default_rng(4)
     for _ in range(200):
         shift, low = rng.uniform(-3.0, 3.0, 2)
@@ -287,7 +287,7 @@ def test_always_and_ever_are_sure():
 # Links, turret and pedestal
 
 
-def test_a_mast_on_the_turret_is_asked_against_every_link(tmp_path):
+def test_mast_on_turret_is_checked_against_every_link(tmp_path):
     mast = box((0.05, 0.05, 0.8), (0.3, 0.0, 1.2))
     robot = fitted(tmp_path, {"turret": [mast]})
     contact = self_contact(robot)
@@ -310,7 +310,7 @@ def test_a_mast_on_the_turret_is_asked_against_every_link(tmp_path):
     assert min(bodies.clearance(q) for q in result.trajectory.position[::4]) > 0.0
 
 
-def test_what_carries_the_shoulder_is_left_out_and_nothing_else(tmp_path):
+def test_only_bodies_that_carry_the_shoulder_are_left_out(tmp_path):
     forks = [box((0.08, 0.011, 0.108), (0.0, y, 0.546)) for y in (-0.0365, 0.0365)]
     beside = box((0.1, 0.1, 0.3), (0.2, 0.0, 0.35))
     robot = fitted(tmp_path, {"turret": [*forks, beside]}, low=-60.0)
@@ -343,7 +343,7 @@ def _fitted_arms(folder, rng, count):
         )
 
 
-def test_distances_and_sections_of_what_is_on_the_base_are_those_of_coal(tmp_path):
+def test_distances_and_sections_of_base_bodies_agree_with_coal(tmp_path):
     rng = np.random.default_rng(21)
     near = {TURRET: 0, GROUND: 0}
     for robot in _fitted_arms(tmp_path, rng, 14):
@@ -427,7 +427,7 @@ def test_folded_angles_are_those_of_coal(tmp_path, lengths, aside):
             assert expected < 2.0 * MARGIN or free.lower[2] < angle < free.upper[2]
 
 
-def test_an_elbow_does_not_pass_through_its_fold(tmp_path):
+def test_elbow_does_not_pass_through_its_fold(tmp_path):
     robot = fitted(tmp_path, low=0.0, high=(90.0, 300.0), lengths=(1.0, 0.7), widths=(0.05, 0.04))
     start, goal = (0.0, 60.0, 60.0), (0.0, 60.0, 260.0)
     with pytest.raises(NoPathError, match="'link_2' is in link 'link_1'") as caught:
@@ -446,7 +446,7 @@ def test_an_elbow_does_not_pass_through_its_fold(tmp_path):
 # Limits, tracking error and clearance
 
 
-def test_what_a_deviation_or_a_clearance_brings_together_is_asked(tmp_path):
+def test_pairs_within_deviation_or_clearance_are_checked(tmp_path):
     """Two links that come to 1 mm of each other at their limits, and no nearer."""
 
     def arm(limit, name):

@@ -80,7 +80,7 @@ def test_what_is_shown_is_clear_at_all_times(robot, poses, spacing, kind, creeps
     assert certificate.nearest.obstacle == "it" or certificate.nearest.distance_m > 0.0
 
 
-def test_a_grazing_pass_is_decided_to_a_tenth_of_a_millimetre(robot):
+def test_grazing_pass_is_decided_to_a_tenth_of_a_millimetre(robot):
     """A ball passes the arm at rest; the clearance it leaves is known in closed form."""
     motion = quintic(robot, REST, REST, duration=2.0, count=201)
     radius, links = 0.1, robot.arm.half_widths[-1]
@@ -108,7 +108,7 @@ def tip_before(robot: Robot) -> np.ndarray:
     return axis_points(robot, np.radians(REST))[-2]
 
 
-def test_a_track_without_motion_gives_what_no_track_gives(robot):
+def test_track_without_motion_changes_nothing(robot):
     motion = quintic(robot, REST, AWAY)
     near = tuple((tip(robot, AWAY) + np.array([0.0, 0.3, 0.0])).tolist())
     ball = Sphere(name="ball", center=near, radius=0.1)
@@ -122,7 +122,7 @@ def test_a_track_without_motion_gives_what_no_track_gives(robot):
     assert replace(tracked, **same) == replace(still, **same)
 
 
-def test_a_motion_that_begins_later_sees_what_is_there_then(robot):
+def test_later_motion_meets_obstacles_at_that_time(robot):
     motion = quintic(robot, REST, AWAY, duration=3.0)
     through = tip(robot, REST)
     gone = track((0.0, (0.0, 0.0, 0.0)), (1.0, (0.0, 0.0, 1.5)))
@@ -148,7 +148,7 @@ def test_how_long_the_arm_may_rest_where_it_ends(robot):
         assert 0.0 < least < 1e-4
 
 
-def test_an_obstacle_may_not_come_into_the_base(robot):
+def test_obstacle_may_not_come_into_the_base(robot):
     motion = quintic(robot, REST, AWAY, duration=3.0)
     comes = track((0.0, (0.0, 0.0, 0.0)), (2.0, (2.0, 0.0, 0.0)), (3.0, (2.0, 1.0, 0.0)))
     crate = Box(name="crate", center=(-2.0, 0.0, 0.1), size=(0.2, 0.2, 0.2), track=comes)
@@ -192,14 +192,14 @@ def test_every_kind_moves_and_sways(robot):
             assert shown(certificate) == (not at_arm)
 
 
-def test_a_fruit_to_pick_must_not_move(robot):
+def test_fruit_to_pick_must_not_move(robot):
     moved = Fruit(name="apple", center=(1.2, 0.2, 1.2), radius=0.04, track=STILL)
     motion = quintic(robot, REST, AWAY)
     with pytest.raises(MovingObstacleError, match="must not move"):
         certify(robot, scene_of(REST, goal=Goal(fruit="apple"), fruits=(moved,)), motion)
 
 
-def test_a_checker_of_moving_obstacles_wants_a_time(robot):
+def test_checker_of_moving_obstacles_wants_a_time(robot):
     ball = Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.1, track=track((0, (0, 0, 0)), (1, (0, 0, 0.5))))
     scene = scene_of(REST, AWAY, [ball, Sphere(name="other", center=(1.0, 1.0, 1.9), radius=0.1)])
     checker = CoalScene(robot, scene.listed_solids, movements=scene.movements)

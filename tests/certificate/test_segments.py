@@ -124,7 +124,7 @@ def test_bodies_travel_no_farther_than_their_bound(
             assert (change <= gone[lag:] - gone[:-lag] + 1e-6).all()
 
 
-def test_a_curve_that_does_not_exist_is_refused() -> None:
+def test_curve_that_does_not_exist_is_refused() -> None:
     motion, _ = rows_of(load_robot(), np.random.default_rng(5), 0.1, "cubic")
     with pytest.raises(Exception, match="interpolation"):
         replace(motion, interpolation="septic")  # type: ignore[arg-type]

@@ -38,7 +38,7 @@ def certified(robot: Robot, ball: Sphere):
     return certify(robot, scene, straight(robot, (0.2,), (0.4,), 2.0, 10.0))
 
 
-def test_what_lies_under_the_table_is_not_in_it(robot):
+def test_obstacle_under_table_is_not_in_contact(robot):
     below = Sphere(name="ball", center=(0.0, 0.0, 0.25), radius=0.1)
     in_leg = Sphere(name="ball", center=(0.45, 0.45, 0.25), radius=0.04)
     assert base_contacts(robot, [below]) == ()
@@ -51,7 +51,7 @@ def test_what_lies_under_the_table_is_not_in_it(robot):
 
 
 @pytest.mark.parametrize(("to", "shown"), [(0.2, True), (0.35, False)])
-def test_what_moves_under_the_table_is_in_it_where_it_meets_a_leg(robot, to, shown):
+def test_obstacle_moving_under_table_hits_its_leg(robot, to, shown):
     rolls = Track(times_s=(0.0, 1.9), shifts_m=((0.0, 0.0, 0.0), (to, to, 0.0)))
     found = certified(robot, Sphere(name="ball", center=(0.0, 0.0, 0.25), radius=0.1, track=rolls))
     assert found.verified == shown

@@ -72,7 +72,7 @@ def test_approach_angle(robot, free, motion, asked):
         assert certificate.verified is inside, (window, certificate.violations)
 
 
-def test_locked_joints_stand_still(robot, free, motion):
+def test_locked_joints_stay_still(robot, free, motion):
     for joint in robot.joint_names:
         certificate = certify(robot, free.model_copy(update={"locked_joints": (joint,)}), motion)
         (violation,) = certificate.violations

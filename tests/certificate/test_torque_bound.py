@@ -223,7 +223,7 @@ def test_the_largest_tilt_is_that_of_many_times(first, second, third):
     assert largest_tilt(base, 1.5, 3.0) == pytest.approx(inside)  # a piece counts as a whole
 
 
-def test_a_base_that_turns_upright_adds_nothing():
+def test_base_that_turns_upright_adds_nothing():
     upright = ((0.0, 0.0, 10.0), (0.0, 0.0, 120.0), (0.0, 0.0, -40.0))
     still = certify(ROBOT, scene(((0.0, 0.0, 0.0),) * 3), straight(ROBOT, BEGIN, END, DURATION, 5.0)).limit_use
     assert certify(ROBOT, scene(upright), straight(ROBOT, BEGIN, END, DURATION, 5.0)).limit_use == still

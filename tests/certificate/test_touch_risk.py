@@ -105,7 +105,7 @@ def test_draws_touch_no_more_often_than_the_bound(robot: Robot, motion: Trajecto
         assert sum(share.probability for share in found.shares) + found.shared == pytest.approx(found.bound, rel=1e-3)
 
 
-def test_what_moves_together_counts_once(robot: Robot, motion: Trajectory) -> None:
+def test_joint_motion_counts_once(robot: Robot, motion: Trajectory) -> None:
     certain = [thing.model_copy(update={"sigma": 0.0, "covariance": None}) for thing in things()]
     twins = [thing.model_copy(update={"name": f"{thing.name} {n}"}) for thing in certain for n in range(5)]
     together = risk_of(robot, task(tuple(twins), covariance=ROUND), motion)
@@ -117,7 +117,7 @@ def test_what_moves_together_counts_once(robot: Robot, motion: Trajectory) -> No
     assert risk_of(robot, task(tuple(own)), motion).bound > 2.0 * together.bound
 
 
-def test_what_has_no_error_has_no_risk(robot: Robot, motion: Trajectory) -> None:
+def test_obstacle_without_error_has_no_risk(robot: Robot, motion: Trajectory) -> None:
     certain = tuple(thing.model_copy(update={"sigma": 0.0, "covariance": None}) for thing in things())
     for scene in (task(()), task((), covariance=ROUND), task(certain)):
         found = risk_of(robot, scene, motion)
@@ -180,7 +180,7 @@ def test_no_motion_is_given_whose_goal_alone_is_riskier(robot: Robot, motion: Tr
         hplan.plan(robot, task((beside,)), hplan.PlanOptions(risk=0.01))
 
 
-def test_a_deadline_leaves_time_for_the_bound(robot: Robot) -> None:
+def test_deadline_leaves_time_for_the_bound(robot: Robot) -> None:
     found = hplan.plan(robot, task(things()), hplan.PlanOptions(risk=0.01, deadline_s=60.0)).certificate
     assert found.verified
     assert found.risk is not None

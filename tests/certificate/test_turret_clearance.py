@@ -36,7 +36,7 @@ def from_turret(robot: Robot, center: np.ndarray, radius: float) -> float:
 
 @pytest.mark.parametrize("sigma", [0.0, 0.004])
 @pytest.mark.parametrize("center", [(-0.2, 0.0, 0.5), (-0.13, -0.13, 0.55), (-0.17, 0.02, 0.45)])
-def test_the_round_turret_counts(robot: Robot, center: tuple[float, ...], sigma: float) -> None:
+def test_round_turret_counts(robot: Robot, center: tuple[float, ...], sigma: float) -> None:
     ball = Sphere(name="ball", center=center, radius=0.04, sigma=sigma)
     true = from_turret(robot, np.array(center), 0.04) - 3.0 * sigma
     for obstacle in (ball, PointCloud.of("ball", np.array([center]), radius=0.04, sigma=sigma)):
@@ -46,7 +46,7 @@ def test_the_round_turret_counts(robot: Robot, center: tuple[float, ...], sigma:
         assert result.stop_at(0.3).certificate.min_clearance_m <= true + 1e-9
 
 
-def test_a_turret_nearer_than_the_clearance_is_listed(robot: Robot) -> None:
+def test_turret_nearer_than_the_clearance_is_listed(robot: Robot) -> None:
     center = (-0.2, 0.0, 0.5)
     true = from_turret(robot, np.array(center), 0.05)
     found = hplan.plan(robot, a_scene(Sphere(name="ball", center=center, radius=0.05), clearance=0.05)).certificate
@@ -56,7 +56,7 @@ def test_a_turret_nearer_than_the_clearance_is_listed(robot: Robot) -> None:
     assert found.min_clearance_m == rule.clearance_m <= true < 0.05
 
 
-def test_what_the_turret_stands_on_is_listed_and_not_counted(robot: Robot) -> None:
+def test_body_under_turret_is_listed_but_not_counted(robot: Robot) -> None:
     """A collar about the turret that touches it, as the ground may touch a pedestal."""
     touching = Box(name="collar", center=(-0.2115, 0.0, 0.5), size=(0.2, 0.1, 0.1))
     found = hplan.plan(robot, a_scene(touching)).certificate
@@ -66,7 +66,7 @@ def test_what_the_turret_stands_on_is_listed_and_not_counted(robot: Robot) -> No
     assert found.min_clearance_m > 0.01
 
 
-def test_an_obstacle_that_passes_the_turret_counts(robot: Robot) -> None:
+def test_obstacle_that_passes_the_turret_counts(robot: Robot) -> None:
     """A ball that comes near the turret between two times of the motion's own samples."""
     still = hplan.plan(robot, a_scene(), hplan.PlanOptions(effort="quick")).trajectory
     end = still.duration

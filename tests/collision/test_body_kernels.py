@@ -177,7 +177,7 @@ def test_motions_shown_clear_are_clear(arm: Robot, solids: list[Solid], seed: in
     assert not piece_is_clear(piece, field.arrays, 1e-3, 0.0) or field.along(curve).min() > 5e-4
 
 
-def test_what_is_far_is_left_out(arm: Robot, solids: list[Solid]) -> None:
+def test_distant_obstacles_are_left_out(arm: Robot, solids: list[Solid]) -> None:
     whole = ClearanceField.of(arm, solids)
     path = np.array([[0.3, 0.5, 0.4, -0.3, 0.5, 0.2], [0.5, 0.6, 0.4, -0.3, 0.5, 0.2]])[:, : arm.dof]
     near = whole.near(path, 0.1)

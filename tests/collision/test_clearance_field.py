@@ -157,7 +157,7 @@ def test_only_some_of_the_solids(robot):
     assert not some.solids.flags.writeable
 
 
-def test_some_solids_are_none_to_the_last_link(robot):
+def test_ignored_solids_do_not_count_for_last_link(robot):
     """Including clouds and hulls, and fields reduced to nearby obstacles."""
     rng = np.random.default_rng(13)
     for _ in range(6):
@@ -199,7 +199,7 @@ def test_near_a_motion_the_field_is_the_whole_one(robot):
     assert nearer > 100
 
 
-def test_near_looks_where_a_link_beside_the_plane_is(robot):
+def test_near_query_finds_link_off_the_plane(robot):
     aside = robot.with_arm(dataclasses.replace(robot.arm, lateral=np.array([0.0, 0.0, 0.5])))
     balls = [Sphere(name=f"b{y}", center=(2.0, y, 0.6), radius=0.05) for y in (0.0, -0.5)]  # the normal is -y
     assert ClearanceField.of(aside, balls).near(np.zeros((1, 4)), 0.05).owner.tolist() == [1]
@@ -288,7 +288,7 @@ def test_motion_that_is_not_a_number_is_not_clear(robot, scene, joint):
     assert not ClearanceField.of(robot, scene.solids).is_clear(path, 1e-3)
 
 
-def test_many_solids_in_groups_are_those_in_none(robot, monkeypatch):
+def test_groups_of_solids_change_no_distance(robot, monkeypatch):
     """Groups change no digit of any distance; each contains all its members.
 
     The depth in several obstacles depends on which of them comes first.

@@ -60,7 +60,7 @@ def test_distances_to_all_kinds(robot):
 
 
 @pytest.mark.parametrize("links", ["capsule", "box", "urdf"])
-def test_a_hull_of_corners_is_the_box(robot, links):
+def test_hull_of_corners_is_the_box(robot, links):
     rng = np.random.default_rng(5)
     for index in range(6):
         box = random_obstacles(rng, 3)[2]
@@ -79,7 +79,7 @@ def test_a_hull_of_corners_is_the_box(robot, links):
 
 @pytest.mark.parametrize("shape", ["room", "wall", "wire", "one", "twins"])
 @pytest.mark.parametrize("links", ["capsule", "box", "urdf"])
-def test_a_cloud_is_its_balls(robot, shape, links):
+def test_cloud_is_its_balls(robot, shape, links):
     """The tree against its balls one by one."""
     rng = np.random.default_rng(6)
     points = rng.uniform([0.4, -0.6, 0.5], [1.8, 0.6, 1.7], (60, 3))
@@ -136,7 +136,7 @@ def test_growth_of_each_obstacle(robot, links):
 
 
 @pytest.mark.parametrize("links", ["capsule", "urdf"])
-def test_the_last_link_may_touch(robot, links):
+def test_last_link_may_touch(robot, links):
     fruit, other = ball(2.1, 0, 0.6, radius=0.05, name="fruit"), ball(2.0, 0.3, 0.7, name="other")
     checker = CoalScene(robot, [fruit, other], links=links, growth=[0.01, 0.0])
     free = checker.touching("fruit")
@@ -167,7 +167,7 @@ def test_the_last_link_may_touch(robot, links):
 
 
 @pytest.mark.parametrize("name", VARIANTS)
-def test_beams_lie_along_the_links(name, tmp_path):
+def test_boxes_lie_along_the_links(name, tmp_path):
     """A bead on the axis is inside, one at half a width is on the surface.
 
     Across the plane and in it.
@@ -224,7 +224,7 @@ def test_flat_and_needle_like_hulls_do_not_end_the_process(robot):
 
 @pytest.mark.parametrize("links", ["capsule", "box", "urdf"])
 @pytest.mark.parametrize("margin", [0.0, 0.05, -0.02])
-def test_in_collision_is_what_the_distances_say(robot, links, margin):
+def test_in_collision_agrees_with_distances(robot, links, margin):
     rng = np.random.default_rng(5)
     seen = np.zeros(2, dtype=int)
     for _ in range(3):
@@ -487,7 +487,7 @@ def test_one_for_each_pair(robot):
     np.testing.assert_array_equal(checker.touching("s").distance_errors, errors)
 
 
-def test_the_proof_takes_them_off(robot, monkeypatch):
+def test_proof_takes_them_off(robot, monkeypatch):
     """At rest, half of the slack is certified: of the distance less the error."""
     zero = np.zeros((1, 4))
     still = Trajectory(

@@ -64,7 +64,7 @@ def test_bodies_hold_the_urdfs_shapes(load, name):
 
 
 @pytest.mark.parametrize("name", [*ARMS, "harvester"])
-def test_bodies_stand_out_beyond_what_coal_judges_by_no_more_than_said(load, name):
+def test_bodies_protrude_beyond_coal_shapes_by_at_most_the_bound(load, name):
     robot = load(name)
     directions = trimesh.unitize(np.random.default_rng(2).normal(size=(2000, 3)))
     for body, judged in zip(collision_bodies(robot), body_shapes(robot), strict=True):
@@ -112,7 +112,7 @@ def test_meshes_are_cut_or_made_hulls(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("scale", ["1 1 1", "-1 1 1", "0.2 -0.5 -1"])
 @pytest.mark.parametrize("kind", ["ring", "one part inside out", "flat, with two faces"])
-def test_meshes_that_are_mirrored_or_inside_out_are_what_their_surface_holds(tmp_path, kind, scale):
+def test_mirrored_and_inverted_meshes_contain_their_surface(tmp_path, kind, scale):
     """Mirrored by a scale, a mesh has its faces the other way round: cut as a hollow it would be its hull."""
     mesh = trimesh.Trimesh(*torus(n=12))
     if kind == "one part inside out":
@@ -188,7 +188,7 @@ def test_reach_is_never_exceeded_and_nearly_attained(load, name, most, monkeypat
 
 
 @pytest.mark.parametrize("name", [*ARMS, "harvester"])
-def test_no_body_moves_farther_than_reach_says(load, name):
+def test_no_body_moves_farther_than_its_coefficient(load, name):
     robot, rng = load(name), np.random.default_rng(4)
     bodies, bounds = collision_bodies(robot), reach(robot)
     first, second = robot.model.createData(), robot.model.createData()
@@ -241,7 +241,7 @@ def test_pairs_that_are_left_out(load, name):
         assert (np.abs(distances(other) - found)[:checked] <= bounds @ np.abs(other - q) + 1e-5).all()
 
 
-def test_pairs_of_the_panda_are_those_of_its_srdf_or_looked_at(load):
+def test_pairs_of_panda_are_in_srdf_or_checked(load):
     robot = load("panda")
     bodies, pairs = collision_bodies(robot), self_pairs(robot)
     reasons = {(bodies[i].name, bodies[j].name): reason for i, j, reason in pairs.allowed}
@@ -251,7 +251,7 @@ def test_pairs_of_the_panda_are_those_of_its_srdf_or_looked_at(load):
     assert ("panda_link0", "panda_hand") in checked
 
 
-def test_pairs_that_are_never_far_apart_are_asked_only_whether_they_touch(load):
+def test_pairs_never_far_apart_are_checked_for_contact_only(load):
     pairs = self_pairs(load("toy"))
     assert required_distances(pairs.farthest, 0.0).tolist() == [0.0] * len(pairs.checked)
     far = pairs.farthest[np.isfinite(pairs.farthest) & (pairs.farthest > 0.02)]

@@ -110,9 +110,7 @@ def test_no_bound_is_above_the_distance_and_most_are_near_it(robot, kind, tmp_pa
 
 
 @pytest.mark.parametrize("name", ["toy", "lift"])
-def test_no_bounds_are_given_of_a_robot_whose_joints_stand_elsewhere_than_pinocchio_says(
-    name, tmp_path_factory, monkeypatch
-):
+def test_robot_with_displaced_joints_gets_no_bounds(name, tmp_path_factory, monkeypatch):
     arm = loaded_arm(name, tmp_path_factory)
     assert (box_bounds.joints_as_pinocchio(arm) == joints_alone(arm)).all()
     for at in (flat_bodies.HEAD + 10, flat_bodies.HEAD + flat_bodies.PLACE):  # a turn's cosine, a place
@@ -123,7 +121,7 @@ def test_no_bounds_are_given_of_a_robot_whose_joints_stand_elsewhere_than_pinocc
             box_bounds.joints_as_pinocchio.__wrapped__(arm)
 
 
-def test_the_nearest_pair_is_that_of_all_distances(robot):
+def test_nearest_pair_is_that_of_all_distances(robot):
     rng = np.random.default_rng(3)
     checker = CoalScene(robot, many(rng))
     for q in rng.uniform(robot.lower, robot.upper, (40, robot.dof)):

@@ -45,7 +45,7 @@ def in_millimetres() -> list[AnyObstacle]:
 
 
 @pytest.mark.parametrize("item", in_millimetres(), ids=lambda item: item.name)
-def test_a_scene_in_millimetres_warns(robot: Robot, item: AnyObstacle) -> None:
+def test_scene_in_millimetres_warns(robot: Robot, item: AnyObstacle) -> None:
     scene = a_scene(item)
     with pytest.warns(FarObstacleWarning, match=f"obstacle '{item.name}' .* in millimetres"):
         found = plan(robot, scene)
@@ -61,7 +61,7 @@ def test_a_scene_in_millimetres_warns(robot: Robot, item: AnyObstacle) -> None:
     assert far_obstacles(robot, a_scene(near, item)) == expected
 
 
-def test_a_scene_in_metres_does_not_warn(robot: Robot) -> None:
+def test_scene_in_metres_does_not_warn(robot: Robot) -> None:
     far = Box(name="shed", center=(0.0, 150.0, 0.0), size=(4.0, 4.0, 4.0))
     near = Sphere(name="near", center=(0.0, 1.9, 1.0), radius=0.1)
     scenes = [
@@ -103,7 +103,7 @@ def test_distances_against_coal(robot: Robot) -> None:
     assert 20 < sum(flagged) < 180
 
 
-def test_the_commands_say_so(tmp_path: Path) -> None:
+def test_commands_warn(tmp_path: Path) -> None:
     scene, folder = save_scene(a_scene(*in_millimetres()), tmp_path / "scene.yaml"), tmp_path / "out"
     run = [sys.executable, "-m", "hplan.apps.cli"]
     done = subprocess.run([*run, "plan", scene, "--out", folder], capture_output=True, text=True, check=True)

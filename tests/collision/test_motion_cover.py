@@ -153,7 +153,7 @@ def test_parts_shown_clear_are_clear(arm: Robot, field: ClearanceField, seed: in
         assert shown >= min(asked, 0.97 * least, 0.97 * FAR / max(bounds.max(), 1e-9))
 
 
-def test_what_moves_along_a_wall_and_is_turned_to_it_meets_it() -> None:
+def test_body_turned_to_wall_touches_it() -> None:
     urdf = '<robot name="crank"><link name="base_link"/>' + limb(
         "crank", "base_link", "revolute", "0 0 1", "0 0 0", '<sphere radius="0.05"/>'
     )

@@ -52,7 +52,7 @@ def beside_a_post(gap: float, clearance: float) -> Cell:
 
 
 @pytest.mark.parametrize(("gap", "clearance"), [(0.010, 0.0), (0.040, 0.06)])
-def test_a_column_beside_the_base_of_another_arm(gap, clearance):
+def test_column_next_to_base_of_another_arm(gap, clearance):
     """Its corners come 18.6 mm nearer than its faces: they touch, or come nearer than the clearance."""
     cell = beside_a_post(gap, clearance)
     time = np.linspace(0.0, 4.0, 9)
@@ -225,6 +225,6 @@ def distance(data: pin.Data, one: pin.GeometryObject, other: pin.GeometryObject)
     return coal.distance(one.geometry, poses[0], other.geometry, poses[1], request, result)
 
 
-def test_a_cell_refusal_is_typed():
+def test_cell_refusal_is_typed():
     with pytest.raises(HplanError):
         plan_cell(beside_a_post(-0.01, 0.0), PlanOptions(effort="quick"))

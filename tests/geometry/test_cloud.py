@@ -39,7 +39,7 @@ def test_points_too_far_apart_for_numbers_of_their_voxels_stay():
 
 @pytest.mark.parametrize("kind", ["random", "one place", "steps", "line", "sorted", "strays"])
 @pytest.mark.parametrize("count", [1, LEAF + 1, 1000])
-def test_a_tree_parts_its_points_and_its_balls_hold_them(kind, count):
+def test_tree_parts_its_points_and_its_balls_hold_them(kind, count):
     rng = np.random.default_rng(count)
     points = {
         "random": rng.uniform(0, 1, (count, 3)),

@@ -27,7 +27,7 @@ SHAPES = {
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_pieces_hold_the_solid_and_no_more_than_is_said(name):
+def test_pieces_cover_the_solid_within_tolerance(name):
     vertices, faces = SHAPES[name]
     pieces = convex_pieces(vertices, faces)
     assert 1 <= len(pieces.hulls) <= PIECES
@@ -57,7 +57,7 @@ def test_right_angles_are_met_exactly():
     assert (len(pieces.hulls), pieces.excess) == (2, 0.0)
 
 
-def test_what_is_convex_is_one_piece():
+def test_convex_mesh_is_one_piece():
     pieces = convex_pieces(*blocks(np.ones((2, 3, 1), dtype=bool), np.arange(3.0), np.arange(4.0), np.arange(2.0)))
     assert (len(pieces.hulls), pieces.excess) == (1, 0.0)
     assert sorted(map(tuple, pieces.hulls[0].core)) == [(x, y, z) for x in (0, 2) for y in (0, 3) for z in (0, 1)]

@@ -154,7 +154,7 @@ def test_what_is_enough_is_shown_and_fractions_are_kept(seed: int, enough: float
         assert shown >= min(enough, exact * (1.0 - 1e-3))
 
 
-def test_the_gradient_is_that_of_the_nearest_points() -> None:
+def test_gradient_is_that_of_the_nearest_points() -> None:
     for seed in range(30):
         first, rotation, shift, second = random_hulls(seed)
         found, work = measured(first, rotation, shift, second)

@@ -303,7 +303,7 @@ def test_limits_in_the_way(robot, seed):
         reach(relaxed(0.98), position)
 
 
-def test_yaw_limit_in_the_way(robot):
+def test_yaw_limit_excludes_solutions(robot):
     lower, upper = np.array(robot.lower), np.array(robot.upper)
     lower[0], upper[0] = -1.0, 1.0
     narrow = replace(robot, lower=readonly(lower), upper=readonly(upper))
@@ -348,7 +348,7 @@ def test_solutions_are_at_the_pose_and_within_limits(arm: Robot, seed: int) -> N
     assert (inverse_kinematics(arm, pose, start=start) == found).all()
 
 
-def test_from_where_the_arm_stands_it_stays(arm: Robot) -> None:
+def test_arm_at_goal_stays(arm: Robot) -> None:
     q = drawn(arm, 3)
     assert inverse_kinematics(arm, arm.forward_kinematics(q), start=q)[0] == pytest.approx(q, abs=1e-9)
 
@@ -360,7 +360,7 @@ def test_many_solutions_of_six_joints(tmp_path_factory: pytest.TempPathFactory) 
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_free_turn_turns_about_z_alone(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
+def test_free_turn_turns_about_z_alone(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
     arm = loaded_arm("seven", tmp_path_factory)
     pose = arm.forward_kinematics(drawn(arm, seed))
     turns = []
@@ -386,7 +386,7 @@ def test_locked_joints_and_those_beyond_the_frame_keep_their_values(tmp_path_fac
         assert max(off(arm, found, pose, wrist)) <= 1e-6
 
 
-def test_out_of_reach_is_said_to_be_sought_only(arm: Robot) -> None:
+def test_unreachable_goal_reports_search_only(arm: Robot) -> None:
     far = np.eye(4)
     far[:3, 3] = 50.0
     with pytest.raises(errors.UnreachableError, match="no proof") as refused:

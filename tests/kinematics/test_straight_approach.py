@@ -19,7 +19,7 @@ LONG = [name for name, (_, _, _, axes) in VARIANTS.items() if len(axes) >= 3]
 
 
 @pytest.mark.parametrize("name", LONG)
-def test_a_planar_arm_keeps_its_last_link_on_the_line(name: str, tmp_path) -> None:
+def test_planar_arm_keeps_its_last_link_on_the_line(name: str, tmp_path) -> None:
     """Among goals all over the joint ranges; the last link is where Pinocchio places it."""
     robot = load_variant(name, tmp_path)
     goals = np.random.default_rng(0).uniform(robot.lower, robot.upper, (40, robot.dof))
@@ -73,7 +73,7 @@ def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 
 @pytest.mark.parametrize("keeps_turn", [False, True])
-def test_the_tool_keeps_to_its_line(arm: Robot, keeps_turn: bool) -> None:
+def test_tool_keeps_to_its_line(arm: Robot, keeps_turn: bool) -> None:
     goals = tool_at_point(arm, POINT, count=16).configurations
     lines = lines_back(arm, goals, 0.1, keeps_turn=keeps_turn)
     whole = lines.reached == len(lines.distances)
@@ -114,7 +114,7 @@ def test_locked_joints_stay(picker: Robot) -> None:
         lines_back(picker, goal, 0.05, locked=["nobody"])
 
 
-def test_a_line_ends_where_the_arm_does(picker: Robot) -> None:
+def test_line_ends_where_the_arm_does(picker: Robot) -> None:
     goal = tool_at_point(picker, POINT, approach_deg=180.0).configurations[:1]
     lines = lines_back(picker, goal, 3.0)
     reached = int(lines.reached[0])

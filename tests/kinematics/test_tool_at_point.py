@@ -46,7 +46,7 @@ def test_directions_cover_the_sphere_where_the_arm_can_turn(picker: Robot) -> No
 
 
 @pytest.mark.parametrize("asked", [(-30.0, 10.0), -90.0, (90.0, 180.0), (-400.0, 400.0)])
-def test_angles_are_those_asked_for(picker: Robot, asked: float | tuple[float, float]) -> None:
+def test_angles_are_as_requested(picker: Robot, asked: float | tuple[float, float]) -> None:
     found = tool_at_point(picker, POINT, approach_deg=asked)
     outward = np.array([*POINT[:2], 0.0]) / np.hypot(*POINT[:2])
     for q, angle in zip(found.configurations, found.approach, strict=True):
@@ -57,7 +57,7 @@ def test_angles_are_those_asked_for(picker: Robot, asked: float | tuple[float, f
         assert (np.degrees(angle) - low + 1e-4) % 360.0 <= high - low + 2e-4
 
 
-def test_the_last_joint_stays_where_it_only_turns_the_tool_about_itself(picker: Robot) -> None:
+def test_last_joint_stays_where_it_only_turns_the_tool_about_itself(picker: Robot) -> None:
     start = np.array([0.3, 0.8, 0.6, -0.4, 0.5, 0.2])
     found = tool_at_point(picker, POINT, start=start)
     assert (np.abs(found.configurations[:, -1] - 0.2) < 1e-9).mean() > 0.6
@@ -72,7 +72,7 @@ def test_locked_joints_stay(picker: Robot) -> None:
         tool_at_point(picker, point, start=start, locked=["shoulder_pan", "shoulder_lift", "elbow"])
 
 
-def test_beyond_the_stretched_arm_nothing_is_looked_for(arm: Robot) -> None:
+def test_no_search_beyond_stretched_arm(arm: Robot) -> None:
     with pytest.raises(errors.UnreachableError, match="beyond the stretched arm") as caught:
         tool_at_point(arm, (20.0, 0.0, 0.0))
     assert caught.value.reason == "too_far"
@@ -82,7 +82,7 @@ def test_beyond_the_stretched_arm_nothing_is_looked_for(arm: Robot) -> None:
     assert np.linalg.norm(arm.tool_positions(spread) - middle, axis=1).max() <= reach + np.linalg.norm(middle)
 
 
-def test_what_is_not_found_is_no_proof(picker: Robot) -> None:
+def test_failed_search_is_no_proof(picker: Robot) -> None:
     with pytest.raises(errors.UnreachableError, match="no proof") as caught:
         tool_at_point(picker, (1.1, 0.1, 0.1), approach_deg=180.0)
     assert caught.value.reason == "not_found"

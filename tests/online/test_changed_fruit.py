@@ -55,7 +55,7 @@ def without_apple(planner: Planner) -> None:
     planner.remove("apple")
 
 
-def test_a_fruit_seen_elsewhere_is_an_obstacle(robot: Robot) -> None:
+def test_fruit_seen_elsewhere_is_an_obstacle(robot: Robot) -> None:
     planner = a_planner(robot)
     at_s = picking(robot).certificate.contact_s[0]
     moved = APPLE.model_copy(update={"center": in_the_hand(robot, picking(robot).trajectory, at_s + 0.05)})
@@ -67,7 +67,7 @@ def test_a_fruit_seen_elsewhere_is_an_obstacle(robot: Robot) -> None:
         planner.replan(at=at_s + 0.02, now=at_s)
 
 
-def test_an_obstacle_of_the_fruits_name_is_an_obstacle(robot: Robot) -> None:
+def test_obstacle_of_the_fruits_name_is_an_obstacle(robot: Robot) -> None:
     planner = a_planner(robot)
     at_s = picking(robot).certificate.contact_s[0]
     without_apple(planner)
@@ -75,7 +75,7 @@ def test_an_obstacle_of_the_fruits_name_is_an_obstacle(robot: Robot) -> None:
     assert not planner.stop_at(at_s + 0.02, now=at_s).certificate.verified
 
 
-def test_what_stands_in_the_base_is_said_of_stops_too(robot: Robot) -> None:
+def test_obstacle_in_base_is_reported_for_stops(robot: Robot) -> None:
     scene = load_scene("table-1")
     planner = Planner(robot, scene)
     planner.plan()
@@ -120,7 +120,7 @@ def test_random_stops_among_changed_fruit_are_clear(robot: Robot, seed: int) -> 
     assert stop.certificate.verified == (least > 0.0) or abs(least) < 1e-3
 
 
-def test_a_splice_tells_the_window_of_its_new_motion(robot: Robot) -> None:
+def test_splice_reports_contact_window_of_new_motion(robot: Robot) -> None:
     planner = a_planner(robot)
     kept = planner.replan(at=0.3, now=0.2)
     assert kept.is_kept
@@ -177,7 +177,7 @@ def agrees(
     "goal", [Goal(joints_deg=(-20.0, 45.0, 45.0, 30.0)), Goal(fruit="pear")], ids=["joints", "pear"]
 )
 @pytest.mark.parametrize("obstacles", [(), (PASSING,)], ids=["still", "moving"])
-def test_a_splice_holds_the_contact_that_it_leaves(robot: Robot, goal: Goal, obstacles: tuple[Sphere, ...]) -> None:
+def test_splice_holds_the_contact_that_it_leaves(robot: Robot, goal: Goal, obstacles: tuple[Sphere, ...]) -> None:
     planner, new = leaving_the_apple(robot, goal, *obstacles)
     picked = ["apple"] if goal.fruit is None else ["apple", "pear"]
     assert [contact.fruit.name for contact in new.certificate.contacts] == picked
@@ -220,7 +220,7 @@ def test_contact_that_is_given_is_with_the_very_fruit(robot: Robot) -> None:
 @pytest.mark.parametrize(
     ("told", "status"), [(None, 0), ([], 5), ([{"fruit": "plum", "begin_s": 0, "end_s": 1}], 2), (7, 2)]
 )
-def test_the_folder_of_a_splice_is_certified(robot: Robot, tmp_path: Path, told: object, status: int) -> None:
+def test_folder_of_a_splice_is_certified(robot: Robot, tmp_path: Path, told: object, status: int) -> None:
     _, new = leaving_the_apple(robot, Goal(joints_deg=(-20.0, 45.0, 45.0, 30.0)))
     certificate = new.report["certificate"] | ({} if told is None else {"contacts": told})
     write_csv(new.trajectory, tmp_path / "trajectory.csv")

@@ -74,7 +74,7 @@ def random_track(random: np.random.Generator) -> Track:
     return Track(times_s=tuple(times.tolist()), shifts_m=tuple(map(tuple, shifts.tolist())), **turning)
 
 
-def test_points_stand_where_they_were_seen(robot: Robot) -> None:
+def test_points_stay_where_they_were_seen(robot: Robot) -> None:
     """Seen at 10 s, when the base is 1 m farther: then it blocks the motion."""
     planner = Planner(robot, a_scene(), QUICK)
     free = planner.plan(begins_s=10.0)
@@ -132,7 +132,7 @@ def past_a_cloud(robot: Robot, free: Trajectory, seed: int) -> float:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_what_is_left_out_never_comes_within_reach(robot: Robot, seed: int) -> None:
+def test_omitted_points_never_come_within_reach(robot: Robot, seed: int) -> None:
     """Against the distance from the ball of reach at places less than 2 mm apart on the track."""
     random = np.random.default_rng(seed)
     track, margin = random_track(random), 0.07
@@ -150,7 +150,7 @@ def test_what_is_left_out_never_comes_within_reach(robot: Robot, seed: int) -> N
     assert (np.linalg.norm(seen - ball[:3], axis=1) <= ball[3]).all()
 
 
-def test_what_is_ignored_is_where_it_is_by_then(robot: Robot) -> None:
+def test_ignored_obstacles_are_at_their_current_place(robot: Robot) -> None:
     drift = Track(times_s=(0.0, 20.0), shifts_m=((0.0, 0.0, 0.0), (0.0, 2.0, 0.0)))
     apple, bird = (
         Fruit(name="apple", center=(1.9, 0.1, 1.2), radius=0.04),
@@ -172,7 +172,7 @@ def test_what_is_ignored_is_where_it_is_by_then(robot: Robot) -> None:
     assert planner.set_cloud("seen", listed[200:], radius=0.01, time_s=10.0, ignore=["bird"]).kept == 0
 
 
-def test_what_is_remembered_stays_where_it_was_seen(robot: Robot) -> None:
+def test_remembered_points_stay_where_they_were_seen(robot: Robot) -> None:
     planner = Planner(robot, a_scene())
     listed = np.array([1.4, 0.2, 1.2]) + np.random.default_rng(0).normal(0.0, 0.02, (50, 3))
     first = planner.set_cloud("seen", seen_at(CREEP, listed, 2.0), radius=0.01, time_s=2.0, keep_s=30.0)
@@ -182,7 +182,7 @@ def test_what_is_remembered_stays_where_it_was_seen(robot: Robot) -> None:
     np.testing.assert_allclose(planner.scene.obstacles[0].points[1:], before, atol=1e-12)
 
 
-def test_a_cloud_that_was_cropped_for_less_is_refused(robot: Robot) -> None:
+def test_cloud_that_was_cropped_for_less_is_refused(robot: Robot) -> None:
     """Clearance, tracking errors, the base's track and the cloud's place may not change behind the crop."""
     planner = Planner(robot, a_scene(None), QUICK)
     x, y, z, radius = reach_ball(robot)

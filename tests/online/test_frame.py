@@ -127,7 +127,7 @@ def test_distances_of_points_from_solids_of_all_kinds(seed):
     assert (distances_from_bodies(points, *solid_rows([], 0.0)) == np.inf).all()
 
 
-def test_a_distance_asked_for_up_to_a_limit_is_that_distance_or_none():
+def test_distance_up_to_limit_is_exact_or_missing():
     rng = np.random.default_rng(0)
     solids = [hull_of(rng.normal(size=(12, 3)) * 0.3 + [1.0, 0.0, 1.1], "hull"), *random_obstacles(rng, 4)]
     rows, data = solid_rows(solids, 0.03)
@@ -140,7 +140,7 @@ def test_a_distance_asked_for_up_to_a_limit_is_that_distance_or_none():
         np.testing.assert_allclose(found, np.where(expected <= limit, expected, np.inf), atol=1e-12)
 
 
-def test_the_arm_is_in_its_reach_ball(robot):
+def test_arm_is_in_its_reach_ball(robot):
     rng = np.random.default_rng(1)
     *centre, radius = reach_ball(robot)
     for q in rng.uniform(robot.lower, robot.upper, (50, robot.dof)):
@@ -163,7 +163,7 @@ def _with_thin_upper_arm(folder):
 @pytest.mark.parametrize(("make", "link", "off_m"), [
     (lambda folder: load_robot("orchard_harvester"), 2, 0.033), (_with_thin_upper_arm, 0, 0.03),
 ], ids=["hand thinner than the gripper", "bar between balls"])  # fmt: skip
-def test_what_is_beside_a_link_is_no_part_of_the_arm_though_its_capsule_holds_it(make, link, off_m, tmp_path):
+def test_points_next_to_link_are_kept_though_inside_its_capsule(make, link, off_m, tmp_path):
     robot = make(tmp_path)
     q = np.array([0.3, 0.4, 0.5, 0.6])
     axis = link_axes(robot, q)[link]
@@ -186,7 +186,7 @@ def test_all_that_is_to_be_ignored_is_left_out_and_nothing_else(robot, count):
     assert found.report.ignored == (np.linalg.norm(points - at, axis=1) <= 0.06).sum()
 
 
-def test_few_points_far_from_all_others_are_outliers_where_that_is_asked_for(robot):
+def test_isolated_points_are_outliers_on_request(robot):
     rng = np.random.default_rng(2)
     patch = np.array([1.2, 0.0, 1.0]) + rng.uniform(-0.02, 0.02, (200, 3)) * [0, 1, 1]
     strays = np.array([[0.9, 0.5, 1.0], [0.9, -0.5, 1.0], [0.9, -0.5, 1.001]])
@@ -275,7 +275,7 @@ def test_arrays_of_all_kinds(robot):
     assert whole.points.tolist() == [[1.0, 1.0, 1.0]]
 
 
-def test_a_pose_is_a_matrix_or_six_numbers(robot):
+def test_pose_is_a_matrix_or_six_numbers(robot):
     turn, shift = rpy_rotation(0.1, -0.2, 0.3), [0.4, 0.5, 0.6]
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = turn, shift
@@ -315,7 +315,7 @@ def take(robot, points, time_s, before=None, **values):
     return filter_frame(robot, frame, options, before=before)
 
 
-def test_what_is_hidden_is_remembered_for_its_time(robot):
+def test_hidden_points_are_remembered_for_their_time(robot):
     post = wall(1.4, half=0.05)
     first = take(robot, post, 0.0)
     hidden = take(robot, wall(0.8, half=0.15), 0.5, first.seen)
@@ -328,7 +328,7 @@ def test_what_is_hidden_is_remembered_for_its_time(robot):
     assert too_late.report.remembered == 0
 
 
-def test_what_is_remembered_keeps_its_radius(robot):
+def test_remembered_points_keep_their_radius(robot):
     """A large ball stays large among the next frames' smaller balls."""
     first = take(robot, wall(1.4, half=0.05), 0.0)
     seen, kept = first.seen, first.report.kept
@@ -340,7 +340,7 @@ def test_what_is_remembered_keeps_its_radius(robot):
         seen = found.seen
 
 
-def test_what_the_camera_looks_through_is_forgotten(robot):
+def test_points_that_the_camera_sees_through_are_forgotten(robot):
     first = take(robot, wall(0.8, half=0.1), 0.0)
     assert take(robot, wall(1.4), 0.1, first.seen).report.remembered == 0  # it sees past the previous position
     assert take(robot, wall(0.79), 0.1, first.seen).report.remembered == 0  # and sees it again, but for noise
@@ -350,7 +350,7 @@ def test_what_the_camera_looks_through_is_forgotten(robot):
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_where_a_turned_camera_looks(robot, axis):
+def test_view_of_turned_camera(robot, axis):
     """To all six sides: points behind the camera say nothing about points ahead."""
 
     def look(points, time_s, before=None):
@@ -376,7 +376,7 @@ def test_where_the_arm_is_nothing_is_remembered(robot):
 
 
 @pytest.mark.parametrize(("beyond_m", "stays"), [(-1e-3, False), (1e-3, True)])
-def test_the_arm_stands_in_a_ball_by_its_growth_too(robot, beyond_m, stays):
+def test_growth_counts_for_balls_at_the_arm(robot, beyond_m, stays):
     reaching = np.zeros(robot.dof)
     x, y, z = robot.tool_positions(reaching) - CAMERA
     pair = np.array([[x - 0.1, y, z], [x - 0.096, y, z]])  # one ball in the middle of both, grown by 2 mm
@@ -386,7 +386,7 @@ def test_the_arm_stands_in_a_ball_by_its_growth_too(robot, beyond_m, stays):
     assert take(robot, [], 0.1, first.seen, joints=reaching).report.remembered == stays
 
 
-def test_what_the_padding_hides_is_remembered(robot):
+def test_points_hidden_by_padding_are_remembered(robot):
     """A branch 25 mm from the arm counts as the arm in the next frame, but is kept."""
     reaching = np.zeros(robot.dof)
     x, y, z = robot.tool_positions(reaching) - CAMERA

@@ -82,7 +82,7 @@ BAD: dict[str, Any] = {
 
 @pytest.mark.parametrize("keep_s", [0.0, 60.0])
 @pytest.mark.parametrize("kind", BAD)
-def test_a_bad_frame_leaves_the_plant(robot: Robot, plant: FloatArray, kind: str, keep_s: float) -> None:
+def test_bad_frame_leaves_the_plant(robot: Robot, plant: FloatArray, kind: str, keep_s: float) -> None:
     planner = Planner(robot, SCENE)
     assert see(planner, plant, keep_s=keep_s).kept > 100
     before = planner.scene
@@ -112,7 +112,7 @@ def test_no_motion_is_certified_through_the_plant_after_a_bad_frame(robot: Robot
         assert not check(robot, SCENE.with_obstacles((world,)), found.trajectory.position).in_contact.any()
 
 
-def test_pixels_without_a_return_are_no_obstacles(robot: Robot, plant: FloatArray) -> None:
+def test_pixels_without_return_are_not_obstacles(robot: Robot, plant: FloatArray) -> None:
     """A camera on the arm: balls at the camera would leave a trail in the memory."""
     planner = Planner(robot, SCENE)
     frame = np.concatenate([plant, np.zeros((500, 3))]).reshape(50, 50, 3)
@@ -127,7 +127,7 @@ def test_pixels_without_a_return_are_no_obstacles(robot: Robot, plant: FloatArra
         see(planner, np.zeros((50, 50, 3), np.float32), keep_s=60.0, time_s=9.0)
 
 
-def test_a_camera_that_fades_is_noticed(robot: Robot, plant: FloatArray) -> None:
+def test_camera_that_fades_is_noticed(robot: Robot, plant: FloatArray) -> None:
     """Each frame alone loses less than the acceptable share."""
     planner, found = Planner(robot, SCENE), None
     for number in range(20):
@@ -144,7 +144,7 @@ def test_a_camera_that_fades_is_noticed(robot: Robot, plant: FloatArray) -> None
     see(planner, plant[:100], time_s=99.0)
 
 
-def test_what_may_be_empty_is_stated(robot: Robot, plant: FloatArray) -> None:
+def test_empty_frames_must_be_allowed(robot: Robot, plant: FloatArray) -> None:
     background = np.array([[0.0, 0.0, 9.0]]) + plant
     planner = Planner(robot, SCENE)
     with pytest.raises(FrameError, match=r"it leaves no obstacle \(2000 given, .* 2000 out of reach"):
@@ -166,7 +166,7 @@ def test_what_may_be_empty_is_stated(robot: Robot, plant: FloatArray) -> None:
     assert planner.scene.obstacles == ()
 
 
-def test_the_order_of_stamps(robot: Robot, plant: FloatArray) -> None:
+def test_order_of_stamps(robot: Robot, plant: FloatArray) -> None:
     planner = Planner(robot, SCENE)
     see(planner, plant, time_s=5.0)
     see(planner, plant[:50], time_s=5.0)  # the same stamp is no older frame
@@ -219,7 +219,7 @@ def test_plans_rely_on_frames_of_a_stated_age(robot: Robot, plant: FloatArray) -
     assert isinstance(planner.replan(at=0.5, now=0.3), PlanResult)
 
 
-def test_the_age_without_stamps_counts_from_the_call(
+def test_age_without_stamps_counts_from_the_call(
     robot: Robot, plant: FloatArray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     planner, began = Planner(robot, SCENE), time.monotonic()
@@ -230,7 +230,7 @@ def test_the_age_without_stamps_counts_from_the_call(
         planner.plan()
 
 
-def test_a_refused_frame_frees_no_unknown_space(robot: Robot, plant: FloatArray) -> None:
+def test_refused_frame_frees_no_unknown_space(robot: Robot, plant: FloatArray) -> None:
     planner = Planner(robot, SCENE)
     see(planner, plant, unknown="solid", keep_s=9.0)
     assert planner._space is not None

@@ -47,7 +47,7 @@ def a_planner(robot: Robot, begins_s: float | None = 0.0) -> Planner:
 
 
 @pytest.mark.parametrize("begins_s", [0.0, 1e3, 1.7e9])
-def test_a_loop_by_the_controllers_clock_is_where_it_should_be(robot: Robot, begins_s: float) -> None:
+def test_loop_by_the_controllers_clock_is_where_it_should_be(robot: Robot, begins_s: float) -> None:
     """Five calls as in the README; a kept motion is followed like the first one."""
     planner, first = a_planner(robot, begins_s), planned(robot)
     result: PlanResult = planner.last
@@ -79,7 +79,7 @@ def test_times_of_an_earlier_motions_clock_are_refused(robot: Robot) -> None:
 
 
 @pytest.mark.parametrize("joint", range(4))
-def test_an_arm_that_is_elsewhere_is_refused(robot: Robot, joint: int) -> None:
+def test_arm_that_is_elsewhere_is_refused(robot: Robot, joint: int) -> None:
     planner = a_planner(robot, 10.0)
     q = planned(robot).trajectory.state_at(0.3)[0].copy()
     q[joint] += 5e-3
@@ -116,14 +116,14 @@ def test_an_arm_that_is_elsewhere_is_refused(robot: Robot, joint: int) -> None:
         ({"begins_s": "1"}, "begins_s"),
     ],
 )
-def test_nothing_that_is_told_is_ignored(robot: Robot, how: dict[str, Any], option: str) -> None:
+def test_all_arguments_are_used(robot: Robot, how: dict[str, Any], option: str) -> None:
     planner = a_planner(robot)
     with pytest.raises(OptionError) as caught:
         planner.replan(**how)
     assert caught.value.option == option
 
 
-def test_a_planner_that_was_told_a_time_wants_to_know_when_motions_begin(robot: Robot) -> None:
+def test_planner_with_clock_requires_start_times(robot: Robot) -> None:
     planner = Planner(robot, a_scene(), QUICK)
     assert planner.plan().begins_s == 0.0
     planner.replan(at=0.2, now=0.1)
@@ -143,7 +143,7 @@ def test_a_planner_that_was_told_a_time_wants_to_know_when_motions_begin(robot: 
         planner.began(math.inf)
 
 
-def test_what_moves_is_seen_from_when_a_motion_begins(robot: Robot) -> None:
+def test_moving_obstacles_count_from_start_of_motion(robot: Robot) -> None:
     planner = Planner(robot, a_scene(PASSING), QUICK)
     result = planner.plan(begins_s=4.0)
     assert planner.scene.obstacles[1].track.times_s == (0.0, 9.0)

@@ -155,7 +155,7 @@ def test_uncertainty_counts_when_it_is_judged_again(robot: Robot) -> None:
     assert nearest[0] < 0.12 < nearest[1]
 
 
-def test_a_plan_that_fails_leaves_the_last_one(robot: Robot) -> None:
+def test_plan_that_fails_leaves_the_last_one(robot: Robot) -> None:
     planner = planner_for(robot, [POST])
     first = planner.plan()
     tip = robot.tool_positions(np.radians(GOAL))
@@ -168,7 +168,7 @@ def test_a_plan_that_fails_leaves_the_last_one(robot: Robot) -> None:
     assert method(planner.replan()) == "kept"
 
 
-def test_what_stands_in_the_base_is_refused(robot: Robot) -> None:
+def test_obstacle_in_base_is_refused(robot: Robot) -> None:
     planner = planner_for(robot)
     planner.plan()
     planner.add(Sphere(name="rock", center=(0.1, 0.0, 0.2), radius=0.1))
@@ -234,7 +234,7 @@ def test_names_differ_and_are_known(robot: Robot) -> None:
     assert planner.scene is before
 
 
-def test_aim_at_what_is_not_there(robot: Robot) -> None:
+def test_aim_at_missing_fruit_is_refused(robot: Robot) -> None:
     planner = planner_for(robot, fruits=(fruit("apple", 0, 1.0, 2.0),))
     before = planner.scene
     with pytest.raises(SceneError, match="'plum' is not among the fruits") as caught:
@@ -247,7 +247,7 @@ def test_aim_at_what_is_not_there(robot: Robot) -> None:
         planner.plan()
 
 
-def test_a_fruit_is_taken_away_once_it_is_not_the_goal(robot: Robot) -> None:
+def test_fruit_is_taken_away_once_it_is_not_the_goal(robot: Robot) -> None:
     fruits = (fruit("low", 20.0, 1.4, 0.8), fruit("high", -20.0, 1.4, 1.6))
     planner = Planner(robot, task(START, Goal(fruit="low"), fruits=fruits))
     with pytest.raises(InputError, match="'low' is the goal"):

@@ -36,7 +36,7 @@ def clouds(planner: Planner) -> list[str]:
     return [obstacle.name for obstacle in planner.scene.obstacles if isinstance(obstacle, PointCloud)]
 
 
-def test_a_frame_replaces_the_last_one_of_its_name(robot):
+def test_frame_replaces_the_last_one_of_its_name(robot):
     planner = Planner(robot, a_scene())
     report = planner.set_cloud("canopy", canopy(0), radius=0.005)
     assert report.given == 3000
@@ -75,7 +75,7 @@ def test_motions_keep_clear_of_every_point(robot):
     assert certify(robot, balls, around.trajectory).verified
 
 
-def test_the_arm_and_the_fruit_to_pick_are_left_out(robot):
+def test_arm_and_the_fruit_to_pick_are_left_out(robot):
     reached = tuple(robot.tool_positions(np.radians([5.0, 30.0, 50.0, 20.0])).tolist())
     fruit = Fruit(name="apple", center=reached, radius=0.04)
     planner = Planner(robot, a_scene(fruits=(fruit,), goal=Goal(fruit="apple")))
@@ -100,7 +100,7 @@ def test_names(robot):
     assert clouds(planner) == []
 
 
-def test_what_is_hidden_is_kept_between_frames(robot):
+def test_hidden_points_are_kept_between_frames(robot):
     planner = Planner(robot, a_scene())
     near, far = (
         np.stack(np.broadcast_arrays(x, *np.meshgrid(*2 * [np.linspace(-0.2, 0.2, 80)])), axis=-1) for x in (0.8, 1.4)
@@ -113,7 +113,7 @@ def test_what_is_hidden_is_kept_between_frames(robot):
     assert planner.set_cloud("seen", near, radius=0.01, pose=pose, time_s=0.6).remembered == 0  # not requested
 
 
-def test_what_tracking_errors_bring_near_is_within_reach(robot):
+def test_obstacles_within_tracking_displacement_are_kept(robot):
     x, y, z, reach_m = reach_ball(robot)
     beyond = [[x + reach_m + 0.005 + CloudOptions().growth_m + CloudOptions().reach_margin_m + 0.02, y, z]]
     for error_rad, kept in ((0.0, 0), (0.05, 1)):
@@ -121,7 +121,7 @@ def test_what_tracking_errors_bring_near_is_within_reach(robot):
         assert planner.set_cloud("far", beyond, radius=0.005, options=MAY_BE_EMPTY).kept == kept
 
 
-def test_a_cloud_that_is_removed_has_seen_nothing(robot):
+def test_cloud_that_is_removed_has_seen_nothing(robot):
     planner = Planner(robot, a_scene())
     planner.set_cloud("seen", canopy(0), radius=0.005, keep_s=9.0, time_s=0.0)
     planner.remove("seen")

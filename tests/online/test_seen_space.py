@@ -12,9 +12,8 @@ from hplan.errors import HplanError, InputError, OptionError
 from hplan.online.arm_shape import arm_solids
 from hplan.online.frame import CloudOptions
 from hplan.online.hidden_points import CELLS
-from hplan.online.next_view import shows
 from hplan.online.planner import Planner
-from hplan.online.seen_space import UNSEEN, SeenSpace
+from hplan.online.seen_space import UNSEEN, SeenSpace, shows
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Sphere
@@ -69,7 +68,7 @@ def middles_of(space: SeenSpace, wanted: FloatArray) -> FloatArray:
     return space._middles(np.argwhere(wanted))
 
 
-def test_what_a_frame_frees_is_in_view(robot: Robot) -> None:
+def test_freed_space_is_in_view(robot: Robot) -> None:
     random = np.random.default_rng(0)
     for pose in poses()[:3]:
         space = SeenSpace(robot, 0.06)
@@ -134,7 +133,7 @@ def test_motions_stay_in_known_space(robot: Robot) -> None:
         planner.plan()
 
 
-def test_the_start_has_to_be_known(robot: Robot) -> None:
+def test_start_has_to_be_known(robot: Robot) -> None:
     planner = Planner(robot, Scene(name="blind", start=Start(joints_rad=HOME), goal=GOAL))
     options = CloudOptions(allow_empty=True)
     nothing = np.full((5, 3), np.nan)
@@ -153,7 +152,7 @@ def test_the_start_has_to_be_known(robot: Robot) -> None:
         planner.set_cloud("camera", np.zeros((1, 3)), radius=0.01, joints=HOME, unknown="wood")  # type: ignore[arg-type]
 
 
-def test_a_fruit_hides_what_is_behind_it_alone(robot: Robot) -> None:
+def test_fruit_hides_only_space_behind_it(robot: Robot) -> None:
     pose, (x, y, z, radius) = poses()[0], BALLS[0]
     fruit = np.array([[x, y, z, radius + 1e-3]])
     found = []
@@ -172,7 +171,7 @@ def test_a_fruit_hides_what_is_behind_it_alone(robot: Robot) -> None:
     assert len(more) > 0.2 * 4.0 / 3.0 * np.pi * radius**3 / space.edge**3
 
 
-def test_what_is_known_to_be_free_need_not_be_seen(robot: Robot) -> None:
+def test_known_free_space_need_not_be_seen(robot: Robot) -> None:
     everywhere = Box(name="hall", center=(0.0, 0.0, 1.0), size=(9.0, 9.0, 9.0))
     found = seen(robot, poses()[:1], GOAL, options=CloudOptions(known_free=(everywhere,))).plan()
     assert found.certificate.verified
@@ -180,7 +179,7 @@ def test_what_is_known_to_be_free_need_not_be_seen(robot: Robot) -> None:
         CloudOptions(known_free=("lane",))  # type: ignore[arg-type]
 
 
-def test_the_next_view_frees_the_way(robot: Robot) -> None:
+def test_next_view_frees_the_way(robot: Robot) -> None:
     planner, left, shares = seen(robot, poses()[:1], GOAL), poses()[1:], []
     with pytest.raises(HplanError, match=UNSEEN):
         planner.plan()
@@ -199,7 +198,7 @@ def test_the_next_view_frees_the_way(robot: Robot) -> None:
     assert planner.plan().certificate.verified
 
 
-def test_a_view_shows_what_nothing_known_is_in_front_of() -> None:
+def test_view_covers_unoccluded_space() -> None:
     random, pose = np.random.default_rng(2), poses()[0]
     balls = [Sphere(name=f"ball {n}", center=tuple(ball[:3]), radius=ball[3]) for n, ball in enumerate(BALLS)]
     middles = random.uniform([-2.0, -2.0, 0.0], [2.0, 2.0, 3.0], (4000, 3))
@@ -213,7 +212,7 @@ def test_a_view_shows_what_nothing_known_is_in_front_of() -> None:
     assert 0.9 * clear.sum() < shown.sum() < clear.sum()
 
 
-def test_the_arm_goes_to_where_its_camera_sees_most(robot: Robot) -> None:
+def test_arm_goes_to_where_its_camera_sees_most(robot: Robot) -> None:
     planner, turned = seen(robot, poses()[:1], GOAL), HOME - np.radians([20.0, 0.0, 0.0, 0.0])
     eye = {"field_of_view_deg": (120.0, 120.0), "farthest_m": 9.0}
     ahead = [0.0, 0.0, 0.0, -90.0, 0.0, 0.0]  # of the hand, to the side that the goal is on

@@ -69,7 +69,7 @@ def test_to_another_goal(robot, effort, now, ahead):
     assert 0.0 <= result.begins_s + result.seam_s - (now + ahead) < 4e-3
 
 
-def test_time_may_be_up_before_a_new_motion_is_looked_for(robot):
+def test_timeout_before_new_motion_is_planned(robot):
     planner, before = a_planner(robot)
     planner.aim(goal=BACK)
     planner.options = PlanOptions(deadline_s=1e-9)
@@ -78,7 +78,7 @@ def test_time_may_be_up_before_a_new_motion_is_looked_for(robot):
     assert planner.last is before
 
 
-def test_what_is_still_certified_stays(robot):
+def test_motion_still_certified_is_kept(robot):
     planner, before = a_planner(robot)
     planner.move("ball", center=at(100.0, 2.0, 1.0))
     result = planner.replan(at=0.5, now=0.4)
@@ -88,7 +88,7 @@ def test_what_is_still_certified_stays(robot):
     assert_spliced(robot, planner.scene, before, result)
 
 
-def test_around_an_obstacle_that_has_come_in_the_way(robot):
+def test_splice_avoids_new_obstacle(robot):
     planner, before = a_planner(robot)
     planner.move("ball", center=on_the_way(robot, before.trajectory, 0.75))
     result = planner.replan(at=0.25, now=0.2)
@@ -141,7 +141,7 @@ def test_while_the_arm_goes_back_from_a_fruit(robot):
     assert result.picked == {"apple": 0.0}
 
 
-def test_what_is_in_the_way_at_once(robot):
+def test_obstacle_directly_ahead_gives_stop(robot):
     """The running motion is not clear up to the seam: the stop before it, if there is one."""
     planner, before = a_planner(robot)
     last = planner.last

@@ -14,7 +14,6 @@ from planned import assert_clear, between_rows, task
 from spliced import FIELDS, assert_goes_on
 from studies.outside import contacts
 
-import hplan.planning.plan as planning
 from hplan.certificate.certificate import certify
 from hplan.errors import ObstacleInTimeError, RunningMotionBlockedError
 from hplan.online.planner import Planner
@@ -22,7 +21,8 @@ from hplan.online.splice import SplicedResult
 from hplan.planning.in_time import certified_in_time, stopping_first
 from hplan.planning.motion import Motion, Plan
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import plan
+from hplan.planning.plan import plan, solver
+from hplan.planning.problem import Problem
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
@@ -132,7 +132,7 @@ def test_around_or_behind_a_ball_that_crosses(robot, effort):
     assert again.certificate.nearest_s is None or -1e-9 <= again.certificate.nearest_s <= again.trajectory.duration
 
 
-def test_what_is_certified_in_time_stays(robot):
+def test_motion_certified_in_time_is_kept(robot):
     """The ball crosses the path, and not when the arm is there."""
     planner = a_planner(robot)
     before, running = planner.last, planner.last.trajectory
@@ -145,7 +145,7 @@ def test_what_is_certified_in_time_stays(robot):
     assert result.certificate.clear_until_s == whole.clear_until_s == math.inf
 
 
-def test_how_long_it_may_rest_is_told_by_the_clock_of_what_runs(robot):
+def test_rest_time_is_on_clock_of_running_motion(robot):
     planner = a_planner(robot)
     running = planner.last.trajectory
     planner.add(coming(tool_at(robot, running, 1.0), running.duration + 1.0))
@@ -177,7 +177,7 @@ def test_stops_of_the_running_motion_are_certified_in_time(robot):
     assert planner.stop_at(at_s).certificate.verified
 
 
-def test_a_stop_that_is_hit_later_says_when(robot):
+def test_stop_reports_time_of_later_contact(robot):
     planner = a_planner(robot)
     running = planner.last.trajectory
     stop = planner.stop_at(0.1)
@@ -189,7 +189,7 @@ def test_a_stop_that_is_hit_later_says_when(robot):
     assert found.trajectory.duration < found.certificate.clear_until_s < comes_s
 
 
-def test_what_is_in_the_way_before_the_seam_gives_the_stop(robot):
+def test_obstacle_before_seam_gives_stop(robot):
     planner = a_planner(robot)
     running = planner.last.trajectory
     hit_s = 0.5 * running.duration
@@ -209,7 +209,7 @@ def test_what_is_in_the_way_before_the_seam_gives_the_stop(robot):
     assert caught.value.stop is None
 
 
-def test_a_state_of_motion_that_cannot_be_left_is_said(robot):
+def test_state_without_escape_is_reported(robot):
     """It is clear up to the seam, and then collides with every motion."""
     planner = a_planner(robot)
     running = planner.last.trajectory
@@ -222,7 +222,7 @@ def test_a_state_of_motion_that_cannot_be_left_is_said(robot):
     assert not caught.value.certificate.verified
 
 
-def test_after_a_stop_what_moves_is_where_it_is_then(robot, monkeypatch):
+def test_moving_obstacles_are_at_their_place_after_stop(robot, monkeypatch):
     planner = a_planner(robot)
     running = planner.last.trajectory
     row = running.samples // 5
@@ -234,21 +234,22 @@ def test_after_a_stop_what_moves_is_where_it_is_then(robot, monkeypatch):
 
     options = PlanOptions(effort="quick")
 
-    def plans_of(later: Scene) -> Iterator[Plan]:
-        seen.append(later)
-        return planning._plans(robot, later, options, None, None)
+    def solve(problem: Problem) -> Iterator[Plan]:
+        seen.append(problem.scene)
+        return solver()(problem)
 
-    certified = certified_in_time(robot, scene, options, stop, check_ends=False)
-    found = stopping_first(robot, scene, options, plans_of, Motion("stop", stop, certified))
+    problem = Problem.of(robot, scene, options)
+    certified = certified_in_time(problem, stop, check_ends=False)
+    found = stopping_first(problem, solve, Motion("stop", stop, certified))
     assert found is not None
     assert found.run is not None
     assert found.run[2].verified
-    assert found.told["stops_until_s"] == stop.duration > 0.1
+    assert found.told["in_time"]["stops_until_s"] == stop.duration > 0.1
     for one, other in zip(seen[0].poses_at([0.5])["ball"], scene.poses_at([stop.duration + 0.5])["ball"], strict=True):
         np.testing.assert_allclose(one, other, atol=1e-12)
 
 
-def test_it_stops_first_and_waits_for_what_blocks_the_way(robot):
+def test_arm_stops_and_waits_for_blocking_obstacle(robot):
     """A start in motion before a gap that opens later: no motion goes on, a stop does, and then the way."""
     start = a_planner(robot).last.trajectory
     row = start.samples // 5
@@ -279,7 +280,7 @@ def test_it_stops_first_and_waits_for_what_blocks_the_way(robot):
     assert result.report["in_time"]["clear_until_s"] == result.certificate.clear_until_s
 
 
-def test_what_never_goes_is_named(robot):
+def test_permanent_obstacle_is_named(robot):
     planner = a_planner(robot)
     running = planner.last.trajectory
     planner.add(coming(tool_at(robot, running, 1.0), 0.5 * running.duration, speed=4.0, radius=0.3))
@@ -289,7 +290,7 @@ def test_what_never_goes_is_named(robot):
     assert planner.stop_at(0.1, now=0.05).certificate.verified
 
 
-def test_the_base_creeps_on_while_a_new_goal_comes(robot):
+def test_base_creeps_on_while_a_new_goal_comes(robot):
     creep = Track(times_s=(0.0, 10.0), shifts_m=((0.0, 0.0, 0.0), (0.0, 2.0, 0.0)))
     away = Sphere(name="away", center=(1.2, 1.2, 1.5), radius=0.2)
     planner = Planner(robot, task(START, GOAL, [away], base_track=creep, **PLANAR))

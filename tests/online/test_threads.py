@@ -15,7 +15,7 @@ from planned import post, task
 import hplan
 from hplan.collision.coal_scene import CoalScene
 from hplan.planar.grid.yaw_layers import LayerCache
-from hplan.planning.plan import plan_with
+from hplan.planning.plan import solved
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Sphere
@@ -114,9 +114,9 @@ def test_changes_frames_and_stops_do_not_wait_for_a_plan(robot: Robot, monkeypat
     def slow(*arguments: Any, **options: Any) -> Any:
         planning.set()
         assert go_on.wait(60)
-        return plan_with(*arguments, **options)
+        return solved(*arguments, **options)
 
-    monkeypatch.setattr("hplan.online.planner.plan_with", slow)
+    monkeypatch.setattr("hplan.online.planner.solved", slow)
     with ThreadPoolExecutor(2) as pool:
         plan = pool.submit(planner.plan)
         assert planning.wait(60)

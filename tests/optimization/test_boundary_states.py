@@ -91,7 +91,7 @@ def limits(robot):
     return MotionLimits(np.array(robot.lower), np.array(robot.upper), rates, MOVABLE, np.empty((0, 4)))
 
 
-def test_the_program_is_the_limits_to_first_order_in_step_and_time_scale(robot, limits):
+def test_program_is_the_limits_to_first_order_in_step_and_time_scale(robot, limits):
     spline, trust = random_spline(3), 1e9
     far = ClearanceField.of(robot, [Sphere(name="far", center=(9.0, 9.0, 9.0), radius=0.1).solids[0]])
     motion = MotionArrays(np.array(spline.control), spline.knots, spline.drift)
@@ -202,7 +202,7 @@ def assert_kept(robot, motion, ends):
     return rows
 
 
-def test_the_fastest_motion_between_states(robot):
+def test_fastest_motion_between_states(robot):
     rest = BoundaryState.at_rest(START), BoundaryState.at_rest(START + TURN)
     fast = tuple(BoundaryState(end.position, 0.8 * TURN, a * TURN) for end, a in zip(rest, (2.0, -2.0), strict=True))
     back = tuple(BoundaryState(end.position, -0.8 * TURN, 0.0 * TURN) for end in rest)
@@ -223,7 +223,7 @@ def test_the_fastest_motion_between_states(robot):
     assert (known.control[:3] == known.control[0]).all()
 
 
-def test_a_state_beyond_the_limits_has_no_motion(robot):
+def test_state_beyond_the_limits_has_no_motion(robot):
     rest = BoundaryState.at_rest(START)
     fast = BoundaryState(START + TURN, 4.0 * TURN, 0.0 * TURN)
     assert fastest(robot, (rest, fast)) is None

@@ -59,7 +59,7 @@ def test_more_effort_is_quicker(plans):
     assert all(plan.certificate.verified for plan in plans.values())
 
 
-def test_limits_are_kept_from_row_to_row_and_between(plans, robot):
+def test_limits_hold_at_and_between_samples(plans, robot):
     for effort in ("default", "best"):
         trajectory = plans[effort].trajectory
         jerk = np.diff(trajectory.acceleration, axis=0) * 250.0
@@ -69,7 +69,7 @@ def test_limits_are_kept_from_row_to_row_and_between(plans, robot):
         assert use.position <= 1.0 + 1e-6
 
 
-def test_torque_limits_are_kept(robot, scene):
+def test_torque_limits_hold(robot, scene):
     weak = np.array(robot.torque_limit)
     largest = np.abs(hplan.plan(robot, scene).trajectory.torque).max(axis=0)
     weak[1] = 0.97 * largest[1]
@@ -194,7 +194,7 @@ def test_least_time_scale_holds_for_every_time(motion, limits):
     assert np.max(largest) > 0.9
 
 
-def test_a_motion_that_keeps_the_program_keeps_the_limits(motion, limits, robot):
+def test_motion_that_keeps_the_program_keeps_the_limits(motion, limits, robot):
     control, knots = motion
     rng = np.random.default_rng(4)
     count = (PIECES - 3) * 2
@@ -218,7 +218,7 @@ SWAY = np.array([[2e-3, 1e-3, 0.0, 0.0], [2e-3, 2e-3, 1e-3, 0.0], [3e-3, 2e-3, 2
 
 
 @pytest.mark.parametrize("sway", [np.zeros((0, 4)), SWAY], ids=["exact", "tracking errors"])
-def test_clearances_less_what_tracking_errors_take_follow_step_and_time_scale(motion, limits, robot, sway):
+def test_clearances_minus_tracking_displacement_follow_step_and_time_scale(motion, limits, robot, sway):
     """Velocity-dependent tracking errors reduce clearance; a slower motion gains some."""
     control, knots = motion
     field, count, by = field_of(robot), (PIECES - 3) * 2, 1e-4
@@ -319,7 +319,7 @@ def test_of_equal_paces_the_smallest_change_is_taken():
     assert x == pytest.approx([0.0, 0.0, 0.5], abs=1e-6)
 
 
-def test_a_program_without_solution_is_not_solved():
+def test_program_without_solution_is_not_solved():
     rows = ProgramRows(
         np.array([0, 1, 2], dtype=np.int32), np.array([0, 0], dtype=np.int32), np.array([1.0, -1.0]),
         np.array([0.0, 0.0]), np.array([-1.0, -1.0]), np.array([1.0]),
@@ -353,7 +353,7 @@ def bent(task: Problem, seed: int) -> SpeedProfile:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_no_motion_falls_below_what_its_pieces_allow(task: Problem, seed: int) -> None:
+def test_no_motion_is_faster_than_its_segments_allow(task: Problem, seed: int) -> None:
     problem, turn = problem_of(task), task.goal - task.start
     rough = rough_motion(bent(task, seed), problem, EFFORT)
     assert rough is not None

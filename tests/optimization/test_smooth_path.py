@@ -320,7 +320,7 @@ def test_clear_straight_motion_stays_straight(robot, options):
         assert found.length == pytest.approx(np.linalg.norm(end - start))
 
 
-def test_what_the_optimisers_left_out_is_not_touched(robot, options, monkeypatch):
+def test_culled_obstacles_are_not_touched(robot, options, monkeypatch):
     """With few obstacles in the search the proof still has all; the search repeats."""
     monkeypatch.setattr(postprocess_path, "NEAR", 1e-6)
     monkeypatch.setattr(postprocess_path, "FEW", 0)
@@ -356,7 +356,7 @@ def paths():
     return [np.stack([START, np.array([yaw, 0.65, 0.3, 0.3]), GOAL]) for yaw in (-0.7, 0.9, 0.8)]
 
 
-def test_the_faster_class_wins_whatever_comes_first(problem):
+def test_faster_class_wins_in_any_order(problem):
     starts = optimization_starts(paths(), problem)
     assert len(starts) == 3
     times = [start.profile.duration for start in starts]

@@ -151,7 +151,7 @@ def test_contact_of_a_piece_for_a_moment_is_refused(robot):
                 assert piece_is_clear(np.ascontiguousarray(piece[::-1]), arrays, 0.5e-4, 0.0) is clear
 
 
-def test_the_piece_in_contact_is_named(robot, scene):
+def test_piece_in_contact_is_named(robot, scene):
     field = ClearanceField.of(robot, scene.solids)
     control = np.radians(np.column_stack([np.zeros(12), np.linspace(0, 88, 12), np.zeros(12), np.zeros(12)]))
     path = SplinePath.through(control)
@@ -181,7 +181,7 @@ def swing(clock):
     return np.outer(t**4 * (35.0 - 84.0 * t + 70.0 * t**2 - 20.0 * t**3), [1.0, -0.5, 0.2, 0.7])
 
 
-def test_breaks_are_at_rows_and_as_equal_as_they_can_be():
+def test_breaks_are_at_samples_and_equally_spaced():
     breaks = breaks_at_rows(103, 10, 250.0)
     rows = np.diff(breaks) * 250.0
     np.testing.assert_allclose(rows, np.round(rows), atol=1e-9)

@@ -60,7 +60,7 @@ def on_nodes(values: Sequence[float], step: float) -> tuple[float, ...]:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_no_path_is_said_if_there_is_none(robot: Robot, seed: int) -> None:
+def test_no_path_is_reported_if_none_exists(robot: Robot, seed: int) -> None:
     """Random scenes, start and goal on nodes of a coarse grid, whose parts are labelled without hplan."""
     step = 6.0
     drawn = random_scene(5000 + seed, robot)

@@ -36,7 +36,7 @@ def scene_of(robot: Robot, goal: Goal) -> Scene:
     return Scene(name="pose", start=Start(joints_rad=START), goal=goal, obstacles=(ball,))
 
 
-def test_a_pose_is_reached_around_an_obstacle(robot: Robot) -> None:
+def test_pose_is_reached_around_an_obstacle(robot: Robot) -> None:
     pose = robot.forward_kinematics(END)
     scene = scene_of(robot, goal_at(pose))
     found = hplan.plan(robot, scene, QUICK)
@@ -45,7 +45,7 @@ def test_a_pose_is_reached_around_an_obstacle(robot: Robot) -> None:
     assert certify(robot, scene, found.trajectory).verified
 
 
-def test_the_approach_to_a_pose_is_along_the_last_link(robot: Robot) -> None:
+def test_approach_to_pose_is_along_last_link(robot: Robot) -> None:
     pose = robot.forward_kinematics(END)
     found = hplan.plan(robot, scene_of(robot, goal_at(pose)), PlanOptions(effort="quick", standoff=0.05))
     assert [phase.name for phase in found.phases] == ["transit", "approach"]
@@ -54,7 +54,7 @@ def test_the_approach_to_a_pose_is_along_the_last_link(robot: Robot) -> None:
     assert back == pytest.approx(0.05 * pose[:3, 0], abs=1e-5)  # the link points along the x axis of `tool0`
 
 
-def test_a_pose_out_of_the_arm_plane_is_refused_with_advice(robot: Robot) -> None:
+def test_pose_out_of_the_arm_plane_is_refused_with_advice(robot: Robot) -> None:
     pose = robot.forward_kinematics(END)
     pose[:3, :3] = pose[:3, :3] @ pin.rpy.rpyToMatrix(0.1, 0.0, 0.0)  # about the last link, which no joint can do
     with pytest.raises(UnreachableError, match="4 joints reach few poses exactly"):

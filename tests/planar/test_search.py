@@ -296,7 +296,7 @@ def test_grown_takes_in_all_neighbours(shape: tuple[int, ...]) -> None:
     np.testing.assert_array_equal(_grown(mask), expected)
 
 
-def test_only_what_touches_the_reached_region_counts(robot: Robot) -> None:
+def test_only_obstacles_at_the_reached_region_count(robot: Robot) -> None:
     """One ball stops the upper arm; another is behind it, out of reach of what the start reaches."""
     balls = [
         Sphere(name="near", center=(0.5, 0.0, 0.85), radius=0.1),
@@ -463,7 +463,7 @@ def test_nodes_two_apart_are_not(bit: int, apart: tuple[int, int, int]) -> None:
     assert reached[tuple(first)]
 
 
-def test_slices_are_flooded_each_on_its_own() -> None:
+def test_slices_are_flooded_separately() -> None:
     rng = np.random.default_rng(0)
     free = rng.random((6, 7, 130)) < 0.6
     start = np.array([2, 3, 0])

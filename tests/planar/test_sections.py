@@ -201,7 +201,7 @@ def random_solid(kind, rng, yaw=0.0):
     return Box(name="crate", center=center, size=size, rpy_deg=rpy)
 
 
-def test_rectangle_takes_a_ball_beside_its_flank_as_nearer(robot):
+def test_rectangle_counts_ball_at_its_flank_as_nearer(robot):
     """Half-width 0.05 across the plane: of a ball 0.15 aside only what reaches the flank counts."""
     ball = Sphere(name="ball", center=(1.0, 0.15, 1.0), radius=0.125)
     sections = arm_sections(robot, [ball], link_model="rectangle")
@@ -310,7 +310,7 @@ def test_rectangle_takes_only_balls(robot):
     Solid(np.full((2, 3), math.nan), 0.1),
     Solid(np.array([[0.0, math.inf, 0.0]]), 0.1), Solid(np.zeros((1, 3)), math.nan),
 ])  # fmt: skip
-def test_obstacle_that_is_none(robot, solid):
+def test_obstacle_without_points_is_refused(robot, solid):
     ball = Solid(np.ones((1, 3)), 0.1, name="ball")
     with pytest.raises(InputError, match="obstacle 'solid': expected finite core points") as caught:
         arm_sections(robot, [ball, solid])

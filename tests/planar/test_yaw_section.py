@@ -63,7 +63,7 @@ def section(robot: Robot, coarse: None) -> YawSection:
     return yaw_section(robot, scene(), Playback(motion(robot)))
 
 
-def test_the_region_is_where_coal_finds_the_arm_in_collision(robot: Robot, section: YawSection) -> None:
+def test_region_is_where_coal_finds_the_arm_in_collision(robot: Robot, section: YawSection) -> None:
     assert section.yaw == pytest.approx(GOAL[0])
     checker = CoalScene(robot, scene().solids)
     random = np.random.default_rng(0)
@@ -94,7 +94,7 @@ def test_clearance_uncertainty_and_tracking_error_grow_the_region(robot: Robot, 
     assert (is_point_set.field[near] < sure.field[near]).all()
 
 
-def test_an_arm_of_two_links_and_a_foreign_trajectory(robot: Robot, tmp_path: Path) -> None:
+def test_arm_of_two_links_and_a_foreign_trajectory(robot: Robot, tmp_path: Path) -> None:
     names = ("link_lengths", "link_half_widths", "link_masses")
     names += ("lower", "upper", "velocity", "effort", "acceleration", "jerk")
     fewer = {name: getattr(HARVESTER, name)[:-1] for name in names}
@@ -105,7 +105,7 @@ def test_an_arm_of_two_links_and_a_foreign_trajectory(robot: Robot, tmp_path: Pa
         yaw_section(robot, scene(), Playback(replace(motion(robot), joint_names=("a", "b", "c", "d"))))
 
 
-def test_the_page_holds_region_motion_and_labels(section: YawSection) -> None:
+def test_page_holds_region_motion_and_labels(section: YawSection) -> None:
     page = render_cspace_page(section, "a <b> page")
     assert page == render_cspace_page(section, "a <b> page")
     assert len(page) < 2_500_000
@@ -127,7 +127,7 @@ def test_the_page_holds_region_motion_and_labels(section: YawSection) -> None:
     np.testing.assert_allclose(track["values"][-3:], goal["matrix"][12:15], atol=1e-6)
 
 
-def test_the_command_line_writes_the_view(tmp_path: Path) -> None:
+def test_command_line_writes_the_view(tmp_path: Path) -> None:
     assert main(["--cspace-yaw", "10", "--out", str(tmp_path), "--quiet"]) == 0
     files = {"trajectory.csv", "report.json", "scene.html", "cspace.html", "cspace.png"}
     assert {path.name for path in tmp_path.iterdir()} == files

@@ -69,7 +69,7 @@ def touched(found: PlanResult) -> dict[tuple[str, str], FloatArray]:
     return {pair: np.array(times) for pair, times in seen.items()}
 
 
-def test_a_fruit_is_picked_along_the_tools_axis(arm: Robot) -> None:
+def test_fruit_is_picked_along_tool_axis(arm: Robot) -> None:
     scene = scene_of(arm, Goal(fruit="apple 0"))
     found = plan(arm, scene, QUICK)
     assert [phase.name for phase in found.phases] == ["transit", "approach", "retreat"]
@@ -98,7 +98,7 @@ def test_only_the_tool_touches_the_fruit_and_only_on_the_approach(picker: Robot)
 
 
 @pytest.mark.parametrize("asked", [None, (-20.0, 20.0), -90.0])
-def test_a_position_is_reached_with_any_orientation_or_the_angle_asked_for(picker: Robot, asked: Any) -> None:
+def test_position_is_reached_with_any_orientation_or_requested_angle(picker: Robot, asked: Any) -> None:
     scene = scene_of(picker, Goal(position=(0.45, -0.35, 0.4), approach_deg=asked))
     found = plan(picker, scene, QUICK)
     assert found.certificate.verified
@@ -110,7 +110,7 @@ def test_a_position_is_reached_with_any_orientation_or_the_angle_asked_for(picke
         assert low - 1e-3 <= found.report["grasp"]["approach_deg"] <= high + 1e-3
 
 
-def test_a_motion_at_another_angle_is_no_solution(picker: Robot) -> None:
+def test_motion_at_another_angle_is_rejected(picker: Robot) -> None:
     found = plan(picker, scene_of(picker, Goal(position=(0.45, -0.35, 0.4), approach_deg=(-20.0, 20.0))), QUICK)
     other = scene_of(picker, Goal(position=(0.45, -0.35, 0.4), approach_deg=(40.0, 60.0)))
     certificate = certify(picker, other, found.trajectory)
@@ -126,7 +126,7 @@ def test_where_no_approach_is_clear_the_motion_itself_leads_to_the_fruit(picker:
     assert least < found.grasp.distance < least + 3e-3
 
 
-def test_what_is_out_of_reach_and_what_is_blocked_are_told_apart(picker: Robot) -> None:
+def test_unreachable_and_blocked_goals_are_distinguished(picker: Robot) -> None:
     with pytest.raises(errors.UnreachableError, match="beyond the stretched arm"):
         plan(picker, scene_of(picker, Goal(position=(5.0, 0.0, 0.5))))
     crate = Sphere(name="crate", center=(0.45, -0.35, 0.4), radius=0.08)
@@ -139,7 +139,7 @@ def test_what_is_out_of_reach_and_what_is_blocked_are_told_apart(picker: Robot) 
     assert {one.fruit: one.reason for one in found.values()} == {"apple 0": "blocked", "apple 1": None, "apple 2": None}
 
 
-def test_how_far_a_tool_stands_out(picker: Robot) -> None:
+def test_tool_length_is_measured(picker: Robot) -> None:
     assert Tool(picker).thickness(0.0) == pytest.approx(0.0, abs=1e-9)
     world = World.of(picker, [])
     wide = Target.of_fruit(
@@ -157,7 +157,7 @@ def test_how_far_a_tool_stands_out(picker: Robot) -> None:
 
 
 @pytest.mark.parametrize("frame", [None, "wrist_2_link"])
-def test_a_pose_has_an_approach_where_a_standoff_is_asked_for(picker: Robot, frame: str | None) -> None:
+def test_pose_has_approach_if_standoff_is_requested(picker: Robot, frame: str | None) -> None:
     q = np.array([-0.5, 0.9, 0.9, 0.3, 0.4, 0.2])
     pose = picker.forward_kinematics(q, frame)
     turn = pin.Quaternion(pose[:3, :3]).coeffs().tolist()
@@ -175,7 +175,7 @@ def test_a_pose_has_an_approach_where_a_standoff_is_asked_for(picker: Robot, fra
     assert np.abs(away - (away @ poses[-1, :3, 2])[:, None] * poses[-1, :3, 2]).max() < 3e-4
 
 
-def test_a_planner_goes_to_another_fruit_while_the_arm_moves(picker: Robot) -> None:
+def test_planner_goes_to_another_fruit_while_the_arm_moves(picker: Robot) -> None:
     planner = Planner(picker, scene_of(picker, Goal(fruit="apple 0")), QUICK)
     first = planner.plan()
     planner.add(Sphere(name="ball", center=(0.1, 0.5, 0.9), radius=0.05))

@@ -37,7 +37,7 @@ def scene_of(*obstacles: Obstacle, locked: tuple[str, ...] = ()) -> Scene:
     return Scene.model_validate({"format": "hplan-scene/1", "name": "toy", "obstacles": obstacles, **keys})
 
 
-def test_a_straight_motion_where_nothing_is_in_the_way(arm: Robot) -> None:
+def test_motion_is_straight_without_blocking_obstacle(arm: Robot) -> None:
     found = plan(arm, scene_of(), QUICK)
     assert found.motion.origin == "direct"
     assert found.certificate.verified
@@ -55,7 +55,7 @@ def test_around_a_post_and_certified_from_outside(arm: Robot, options: PlanOptio
     assert plan(arm, scene, options).trajectory.position == pytest.approx(found.trajectory.position, abs=0.0)
 
 
-def test_a_goal_behind_a_wall_is_refused_after_so_much_effort(arm: Robot) -> None:
+def test_goal_behind_wall_is_refused_after_budget(arm: Robot) -> None:
     wall = Box(name="wall", center=(0.0, 0.6, 0.5), size=(0.04, 0.7, 1.5))
     scene = scene_of(wall, locked=arm.joint_names[1:])
     with pytest.raises(NotFoundError) as refused:
@@ -73,17 +73,17 @@ def test_locked_joints_stay(arm: Robot) -> None:
     assert np.ptp(found.trajectory.position[:, 5]) == 0.0
 
 
-def test_a_start_in_an_obstacle_is_refused(arm: Robot) -> None:
+def test_start_in_an_obstacle_is_refused(arm: Robot) -> None:
     with pytest.raises(ConfigurationInCollisionError):
         plan(arm, scene_of(Sphere(name="ball", center=(0.0, 0.1, 0.3), radius=0.1)), QUICK)
 
 
-def test_the_dense_search_is_refused_where_there_is_no_grid(arm: Robot) -> None:
+def test_dense_search_is_refused_without_grid(arm: Robot) -> None:
     with pytest.raises(OptionError, match="method = 'dense': expected 'two-level' for 'six_axes', which has no grid"):
         plan(arm, scene_of(), PlanOptions(method="dense"))
 
 
-def test_a_table_in_which_the_foot_stands_is_refused(arm: Robot) -> None:
+def test_table_that_penetrates_the_foot_is_refused(arm: Robot) -> None:
     """A common first scene: the error names obstacle, link and depth."""
     table = Box(name="table", center=(0.0, 0.0, -0.1), size=(1.0, 1.0, 0.1))
     with pytest.raises(
@@ -92,7 +92,7 @@ def test_a_table_in_which_the_foot_stands_is_refused(arm: Robot) -> None:
         plan(arm, scene_of(table), QUICK)
 
 
-def test_a_robot_without_shapes_is_neither_planned_for_nor_certified() -> None:
+def test_robot_without_shapes_is_neither_planned_for_nor_certified() -> None:
     """Else every motion of it would be certified, for it touches nothing."""
     bare = load_robot(re.sub(r"<collision>.*?</collision>", "", LIFT))
     ends = {"start": {"joints_rad": bare.lower + 0.1}, "goal": {"joints_rad": bare.lower + 0.2}}

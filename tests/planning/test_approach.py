@@ -82,7 +82,7 @@ def offset_of(robot: Robot, result: PlanResult, motion: Trajectory) -> float:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_the_approach_begins_in_motion_and_is_straight_and_smooth(robot: Robot, plans: Any, name: str) -> None:
+def test_approach_begins_in_motion_and_is_straight_and_smooth(robot: Robot, plans: Any, name: str) -> None:
     _, result, told = plans[name]
     assert told.blended is not None
     assert [phase.name for phase in result.phases] == ["transit", "approach", "retreat"]
@@ -108,7 +108,7 @@ def test_the_approach_begins_in_motion_and_is_straight_and_smooth(robot: Robot, 
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_anybody_certifies_the_rows(robot: Robot, plans: Any, name: str, tmp_path: Path) -> None:
+def test_certify_accepts_samples_of_plan(robot: Robot, plans: Any, name: str, tmp_path: Path) -> None:
     scene, result, _ = plans[name]
     read = read_csv(write_csv(result.trajectory, tmp_path / "motion.csv"))
     certificate = certify(robot, scene, read)
@@ -234,7 +234,7 @@ def test_to_a_fruit(robot):
     assert [phase.name for phase in result.phases] == ["transit", "approach", "retreat"]
 
 
-def test_a_start_in_motion_at_its_goal(robot):
+def test_start_in_motion_at_its_goal(robot):
     """Out and back."""
     scene = begun(80, goal=Goal(joints_rad=tuple(running().trajectory.position[80].tolist())))
     result = plan(robot, scene)
@@ -249,7 +249,7 @@ def test_slower_than_the_start(robot):
     assert_goes_on(scene, plan(robot, scene, PlanOptions(speed=0.3)))
 
 
-def test_a_state_that_cannot_be_left(robot):
+def test_state_that_cannot_be_left(robot):
     """A ball a few millimetres ahead of the tool."""
     trajectory = running().trajectory
     row = int(np.abs(trajectory.velocity[:, 0]).argmax())
@@ -269,7 +269,7 @@ def test_a_state_that_cannot_be_left(robot):
     assert "stop" not in error.as_dict()
 
 
-def test_what_cannot_be_the_start(robot):
+def test_invalid_starts_are_refused(robot):
     scene = running().motion.problem.scene
     fast = (9.0, 0.0, 0.0, 0.0)
     joints = tuple(running().trajectory.position[0].tolist())
@@ -294,7 +294,7 @@ def test_what_cannot_be_the_start(robot):
         plan(robot, short)
 
 
-def test_a_start_in_motion_in_a_scene_file():
+def test_start_in_motion_in_a_scene_file():
     scene = begun(60)
     again = parse_scene(dump_scene(scene))
     assert again.start == scene.start
@@ -306,7 +306,7 @@ def test_a_start_in_motion_in_a_scene_file():
     assert scene_digest(scene.model_copy(update={"start": still})) == scene_digest(resting)
 
 
-def test_the_certificate_looks_at_the_start(robot):
+def test_certificate_checks_start(robot):
     """A motion from rest does not solve the task of a start in motion, nor one from another state."""
     scene = begun(60)
     rested = plan(robot, scene.model_copy(update={"start": Start(joints_rad=scene.start.joints_rad)}))

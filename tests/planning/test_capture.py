@@ -40,7 +40,7 @@ def test_shares_are_those_of_the_normal_distribution() -> None:
     np.testing.assert_allclose(caught(np.eye(3), deep, CAPTURE), [along, across, across], atol=0.004)
 
 
-def test_the_approach_is_best_against_the_error(robot: Robot) -> None:
+def test_approach_is_best_against_the_error(robot: Robot) -> None:
     # With a growth of three sigmas, stand-offs of 10 cm would not be clear.
     plain, found = (
         hplan.plan(robot, SCENE, hplan.PlanOptions(standoff=0.2, capture_m=most)) for most in (None, CAPTURE)
@@ -67,7 +67,7 @@ def test_the_approach_is_best_against_the_error(robot: Robot) -> None:
         hplan.PlanOptions(capture_m=(0.02,))  # type: ignore[arg-type]
 
 
-def test_a_tour_tells_how_much_fruit_to_expect(robot: Robot) -> None:
+def test_tour_reports_expected_fruit(robot: Robot) -> None:
     tour = hplan.plan_tour(robot, SCENE, hplan.PlanOptions(capture_m=CAPTURE))
     each = {leg.fruit: leg.grasp.caught for leg in tour.legs if leg.grasp is not None}
     assert each["sure"] == 1.0

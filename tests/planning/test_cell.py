@@ -62,7 +62,7 @@ def apart(cell: Cell, q: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("moving", ["left", "right", "both"])
-def test_two_arms_come_nearer_by_no_more_than_the_bound(robot, moving):
+def test_two_arms_approach_by_at_most_the_bound(robot, moving):
     """Distances between points of bodies of either, while one moves or both do."""
     cell, rng = facing(robot, 3.0), np.random.default_rng(3)
     robot, bodies = cell.robot, collision_bodies(cell.robot)
@@ -110,7 +110,7 @@ def test_joined_robots_are_the_robots(robot):
     assert np.allclose(whole.dynamics.torques(q, v, a)[:, picker.dof :], expected, atol=1e-9)
 
 
-def test_arms_that_are_far_apart_move_at_once(robot):
+def test_distant_arms_move_simultaneously(robot):
     result = plan_cell(facing(robot, 3.0, obstacles=(Sphere(name="post", center=(1.5, 0.0, 0.5), radius=0.2),)))
     assert result.certificate.verified
     assert result.how == "at once"
@@ -153,7 +153,7 @@ def test_one_begins_later_where_that_is_all_there_is(robot, monkeypatch, error):
 
 
 @pytest.mark.parametrize("right", [{"start": FROM, "goal": TO}, {"start": (0.0, 60.0, 60.0, 60.0), "goal": None}])
-def test_arms_go_around_others_that_stand_and_step_aside(robot, monkeypatch, right):
+def test_arms_avoid_resting_arms_and_make_room(robot, monkeypatch, right):
     """Each is at the other's goal; or one blocks the other."""
 
     def none(*_):
@@ -272,7 +272,7 @@ def test_each_arm_picks_its_fruit(robot):
                 assert window.begin_s >= own.contacts[0].begin_s - 1e-9
 
 
-def test_a_tilted_base_has_the_gravity_of_the_cell(robot):
+def test_tilted_base_has_the_gravity_of_the_cell(robot):
     arm = CellRobot(name="hung", position=(0, 0, 2.5), rpy_deg=(180, 0, 0), start=Start(joints_deg=FROM),
                     goal=Goal(joints_deg=TO))  # fmt: skip
     result = plan_cell(Cell.of(CellScene(name="s", robots=(arm,)), {"hung": robot}))
@@ -343,7 +343,7 @@ def test_wrong_values(robot):
         plan_cell(cell, PlanOptions(deadline_s=1e-4))
 
 
-def test_an_arm_without_jerk_limits_leaves_the_others_theirs(robot):
+def test_arm_without_jerk_limits_leaves_the_others_theirs(robot):
     without = replace(robot, jerk_limit=None)
     whole = joined_robots({"a": (robot, pin.SE3.Identity()), "b": (without, pin.SE3.Identity())})
     assert whole.jerk_limit[: robot.dof].tolist() == robot.jerk_limit.tolist()
@@ -357,7 +357,7 @@ def test_idle_arms_stay(robot):
     assert not math.isinf(result.certificate.between.min_clearance_m)
 
 
-def test_the_command_writes_each_arms_file(write, tmp_path, capsys):
+def test_command_writes_each_arms_file(write, tmp_path, capsys):
     scene, out = write("cell.yaml", YAML), tmp_path / "out"
     assert main(["plan", str(scene), "--out", str(out), "--quiet", "--mcap"]) == 0
     assert (out / "motion.mcap").read_bytes()[1:5] == b"MCAP"

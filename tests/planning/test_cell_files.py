@@ -68,7 +68,7 @@ def rests(motion: Trajectory) -> Trajectory:
     return moving_at_its_end(motion, 0.0)
 
 
-def test_a_file_that_ends_in_motion_and_swings_into_an_obstacle_is_not_verified(picker):
+def test_file_that_ends_in_motion_and_swings_into_an_obstacle_is_not_verified(picker):
     cell, motion = beside(picker), foreign(picker)
     beyond = np.radians(np.add(TO, (10.0, 0.0, 0.0, 0.0)))
     ball = Sphere(name="ball", center=tuple(picker.tool_positions(beyond).tolist()), radius=0.03)
@@ -194,7 +194,7 @@ def test_files_of_other_joints_are_refused(picker):
             certify_cell(cell, wrong)
 
 
-def test_an_obstacle_that_comes_to_an_arm_that_has_arrived_is_seen(picker):
+def test_obstacle_that_comes_to_an_arm_that_has_arrived_is_seen(picker):
     """The other arm still moves: all of that time belongs to the motion."""
     far = np.add(picker.tool_positions(np.radians(TO)), (0.0, 0.0, 3.0)).tolist()
     track = Track(times_s=(0.0, 4.0, 5.0), shifts_m=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, -3.0)))
@@ -225,7 +225,7 @@ robots:
 """
 
 
-def test_the_command_judges_files_as_given(picker, write, tmp_path, capsys):
+def test_command_judges_files_as_given(picker, write, tmp_path, capsys):
     scene, folder = str(write("cell.yaml", YAML)), tmp_path / "files"
     folder.mkdir()
     good = foreign(picker)
@@ -263,7 +263,7 @@ def test_the_command_judges_files_as_given(picker, write, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("option", [["--tracking-error-m", "0.01"], ["--risk", "0.1"], ["--begin", "1"]])
-def test_the_command_refuses_options_without_meaning(write, tmp_path, capsys, option):
+def test_command_refuses_options_without_meaning(write, tmp_path, capsys, option):
     assert main(["certify", str(tmp_path), str(write("cell.yaml", YAML)), *option]) == 2
     assert option[0] in capsys.readouterr().err
 
@@ -291,7 +291,7 @@ def test_owners_go_by_exact_names(picker, names):
     assert plan_cell(cell, QUICK).certificate.verified
 
 
-def test_an_arm_whose_joints_begin_with_its_name(picker, write):
+def test_arm_whose_joints_begin_with_its_name(picker, write):
     """A robot with an arm's name in its own: the prefix is doubled."""
 
     def named(text: str) -> str:

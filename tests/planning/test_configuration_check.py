@@ -34,7 +34,7 @@ def six_axes(tmp_path_factory):
 
 
 @pytest.mark.parametrize("clearance", [0.0, 0.03])
-def test_one_and_many_are_what_coal_says_of_all_pairs(robot, six_axes, clearance):
+def test_single_and_batch_check_agree_with_coal(robot, six_axes, clearance):
     box = Box(name="box", center=[0.9, 0.2, 0.9], size=np.array([0.3, 0.2, 0.9]), rpy_deg=[10, 20, 30])
     ball = Sphere(name="ball", center=np.array([0.3, 0.5, 0.6]), radius=np.float64(0.2), sigma=0.01)
     fruit = Fruit(name="apple", center=[0.2, -0.6, 0.5], radius=0.1)
@@ -64,7 +64,7 @@ def test_nothing_to_meet(robot):
     assert (found.valid.shape, found.contacts, found.nearest) == ((0,), (), None)
 
 
-def test_where_obstacles_move_a_time_is_asked_for(robot):
+def test_check_among_moving_obstacles_requires_time(robot):
     track = Track(times_s=np.array([0.0, 1.0]), shifts_m=np.array([[0, 0, 0], [0, 0, 5.0]]))
     scene = scene_with([Sphere(name="ball", center=(2.0, 0.0, 0.6), radius=0.3, track=track)], 4)
     with pytest.raises(MovingObstacleError):

@@ -66,7 +66,7 @@ def tolerated(distance: float, velocity: float, acceleration: float, jerk: float
     return rest_to_rest(np.array([distance]), *limits).item()
 
 
-def test_the_reference_motion_is_near_its_bound(robot: Robot, scene: Scene) -> None:
+def test_reference_motion_is_near_its_bound(robot: Robot, scene: Scene) -> None:
     result = plan(robot, scene, BOUND)
     bound = result.bound
     assert bound is not None
@@ -99,7 +99,7 @@ def test_one_joint_alone_is_bounded_by_its_own_fastest_motion(robot: Robot, join
     assert bound.gap < 0.02
 
 
-def test_the_base_counts_by_its_own_fastest_motion_with_jerk(robot: Robot) -> None:
+def test_base_counts_by_its_own_fastest_motion_with_jerk(robot: Robot) -> None:
     scene = task([0, 10, 10, 10], [90, 40, 20, 30], [post("trunk", 45.0, 1.6, 0.0, 1.2)])
     bounds = [plan(arm, scene, BOUND).bound for arm in (robot, replace(robot, jerk_limit=None))]
     limits = robot.velocity_limit[0], robot.acceleration_limit[0]
@@ -110,7 +110,7 @@ def test_the_base_counts_by_its_own_fastest_motion_with_jerk(robot: Robot) -> No
         assert 0.9999 * exact < bound.seconds <= exact
 
 
-def test_a_wall_that_all_joints_have_to_pass_is_seen_where_the_base_turns(robot: Robot) -> None:
+def test_wall_that_all_joints_have_to_pass_is_seen_where_the_base_turns(robot: Robot) -> None:
     wall = Box(name="wall", center=(1.3, 0.0, 1.2), size=(1.6, 0.3, 2.4))
     bound = plan(robot, task([-25, 30, 40, 30], [25, 30, 40, 30], [wall]), BOUND).bound
     assert bound is not None
@@ -119,7 +119,7 @@ def test_a_wall_that_all_joints_have_to_pass_is_seen_where_the_base_turns(robot:
     assert bound.gap < 0.15
 
 
-def test_a_motion_that_is_too_fast_to_exist_is_an_error(robot: Robot, scene: Scene) -> None:
+def test_motion_that_is_too_fast_to_exist_is_an_error(robot: Robot, scene: Scene) -> None:
     result = plan(robot, scene)
     for duration in (1.0, 1.4):  # by the slowest joint alone, by reachability
         with pytest.raises(BoundError, match="impossible") as error:
@@ -164,7 +164,7 @@ def test_no_certified_motion_is_below_its_bound(number: int, clearance: float, y
 
 
 @pytest.mark.usefixtures("coarse")
-def test_the_command_says_how_far_from_the_fastest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_reports_ratio_to_duration_bound(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["plan", "--bound", "--out", str(tmp_path)]) == 0
     said = " ".join(capsys.readouterr().out.split())
     bound = json.loads((tmp_path / "report.json").read_text())["bound"]
@@ -245,7 +245,7 @@ def test_any_motion_is_within_its_bounds(draws: list[float], velocity: float, ac
     assert (q <= upper[:, 0] + 1e-12).all()
 
 
-def test_a_motion_that_is_just_too_short_is_excluded_by_its_own_bounds() -> None:
+def test_motion_that_is_just_too_short_is_excluded_by_its_own_bounds() -> None:
     motion = joint(1.0, 1.2, 3.0)
     least = float(rest_to_rest(np.ones(1), 1.2, 3.0)[0])
     time = np.linspace(0.0, 1.0, 21)[:, None]
@@ -306,21 +306,21 @@ def test_excluded_cells_are_in_contact_whole_and_most_others_are_not(robot: Robo
 
 
 @pytest.mark.parametrize(("kind", "first"), [("sphere", 0), ("capsule", 1), ("box", 1), ("cylinder", 2)])
-def test_so_they_are_where_the_base_turns(robot: Robot, kind: str, first: int) -> None:
+def test_excluded_cells_are_in_contact_with_turning_base(robot: Robot, kind: str, first: int) -> None:
     scene = task([-20, 5, 5, 5], [20, 80, 85, 85], [OBSTACLES[kind]], clearance=0.01)
     order = [first, *(k for k in range(4) if k != first)][:3]
     search, motions = search_of(robot, scene, order, 2.5, 64)
     excluded_are_in_contact(robot, scene, (search, motions, order), 2.5, 0.0005)
 
 
-def test_so_they_are_whatever_the_joints_without_an_axis_do(robot: Robot) -> None:
+def test_excluded_cells_are_in_contact_for_all_free_joints(robot: Robot) -> None:
     shelf = Box(name="shelf", center=(1.9, 0.0, 0.9), size=(1.6, 2.0, 0.9))
     scene = task([-2, 40, 5, 5], [2, 60, 20, 10], [shelf], clearance=0.01)
     search, motions = search_of(robot, scene, [1, 2], 1.6, 60)
     excluded_are_in_contact(robot, scene, (search, motions, [1, 2]), 1.6, 0.01)
 
 
-def test_so_they_are_of_an_arm_of_meshes() -> None:
+def test_excluded_cells_are_in_contact_for_arm_of_meshes() -> None:
     """Its depths are between hulls, and some joints have no axis."""
     arm, order = load_robot("panda"), [0, 1, 3]
     start, goal = (tuple(np.radians(q)) for q in ([-10, 20, 0, -90, 0, 100, 0], [10, 25, 5, -80, 5, 105, 5]))
@@ -405,7 +405,7 @@ def test_as_by_sets_of_states(count: int) -> None:
     assert 0.05 < np.mean(found) < 0.95
 
 
-def test_a_wall_has_to_be_passed_by_its_gap_and_takes_the_time_for_it() -> None:
+def test_wall_has_to_be_passed_by_its_gap_and_takes_the_time_for_it() -> None:
     free = np.ones((9, 9, 1), dtype=np.bool_)
     free[:, 4] = False
     free[0, 4] = True

@@ -98,7 +98,7 @@ def test_zigzags_are_shortened_and_certified(arm: tuple[Robot, FloatArray]) -> N
     assert (again.trajectory.position == found.trajectory.position).all()
 
 
-def test_the_shape_of_a_path_is_kept(arm: tuple[Robot, FloatArray]) -> None:
+def test_shape_of_path_is_preserved(arm: tuple[Robot, FloatArray]) -> None:
     robot, middle = arm
     points = zigzag(middle)
     found = finish(robot, scene_of(robot, far_ball(*arm)), points, QUICK, keep_within_rad=0.02)
@@ -147,7 +147,7 @@ def test_grazing_contact_is_found(arm: tuple[Robot, FloatArray], depth: float) -
 
 
 @pytest.mark.parametrize(("back", "fraction"), [(False, 4.0 / 7.0), (True, 3.0 / 7.0)])
-def test_a_near_miss_does_not_hide_a_contact(harvester: tuple[Robot, FloatArray], back: bool, fraction: float) -> None:
+def test_near_miss_does_not_hide_a_contact(harvester: tuple[Robot, FloatArray], back: bool, fraction: float) -> None:
     robot, middle = harvester
     start, goal = middle - 0.4 * np.eye(4)[0], middle + 0.3 * np.eye(4)[0]
     near = ball_at(robot, start, 5e-4, 0.05).model_copy(update={"name": "near"})
@@ -159,7 +159,7 @@ def test_a_near_miss_does_not_hide_a_contact(harvester: tuple[Robot, FloatArray]
 
 
 @pytest.mark.parametrize("keep", [None, 0.02])
-def test_what_comes_too_close_is_moved_away(arm: tuple[Robot, FloatArray], keep: float | None) -> None:
+def test_path_with_small_clearance_is_pushed_away(arm: tuple[Robot, FloatArray], keep: float | None) -> None:
     robot, middle = arm
     start, goal = swing(middle)
     scene = scene_of(robot, ball_at(robot, middle, 2e-3), clearance=5e-3)
@@ -181,7 +181,7 @@ def test_locked_joints_stay_when_it_is_moved_away(harvester: tuple[Robot, FloatA
     np.testing.assert_allclose(np.ptp(found.trajectory.position[:, [1, 3]], axis=0), 0.0, atol=1e-12)
 
 
-def test_a_deadline_with_time_enough_changes_nothing(harvester: tuple[Robot, FloatArray]) -> None:
+def test_deadline_with_time_enough_changes_nothing(harvester: tuple[Robot, FloatArray]) -> None:
     robot, middle = harvester
     (start, goal), up = swing(middle), np.array([0.0, -0.7, 0.6, 0.0])
     scene, path = scene_of(robot, ball_at(robot, middle, -0.05)), [start, start + up, goal + up, goal]

@@ -97,7 +97,7 @@ def test_base_moves_whenever_that_is_better(robot: Robot, turned_deg: float) -> 
 
 
 @pytest.mark.parametrize(("enclosed", "step_deg"), [("start", 1.0), ("start", 3.0), ("goal", 3.0)])
-def test_no_path_whatever_the_yaw(robot: Robot, enclosed: str, step_deg: float) -> None:
+def test_no_path_at_any_yaw(robot: Robot, enclosed: str, step_deg: float) -> None:
     """A frame of four bars around the upper arm: it is enclosed, and quickly proved."""
     inside, outside = (60.0, 20.0, 20.0, 20.0), (0.0, 70.0, 20.0, 20.0)
     ends = (inside, outside) if enclosed == "start" else (outside, inside)
@@ -182,7 +182,7 @@ def test_uncertainty_takes_the_place_of_start_and_goal(robot: Robot) -> None:
         plan(robot, scene, PlanOptions(sigmas=3.0))
 
 
-def test_the_target_fruit_is_uncertain(robot: Robot) -> None:
+def test_target_fruit_is_uncertain(robot: Robot) -> None:
     """It is kept clear of on the way, and touched at the end."""
     for sigma in (0.0, 0.01):
         target = fruit("apple", 40.0, 1.3, 1.6, sigma=sigma)
@@ -360,7 +360,7 @@ def scene_to(fruit: tuple[float, float, float]) -> Scene:
     )
 
 
-def test_a_fruit_is_picked_and_nothing_touched(aside: Robot) -> None:
+def test_fruit_is_picked_and_nothing_touched(aside: Robot) -> None:
     """By Pinocchio and coal, with the whole URDF, at every other sample."""
     result = plan(aside, scene_to(FRUIT))
     assert result.certificate.verified
@@ -383,7 +383,7 @@ def test_a_fruit_is_picked_and_nothing_touched(aside: Robot) -> None:
     assert min(bodies.distances(q).min(initial=np.inf) for q in rows[::2]) > 0.0
 
 
-def test_a_fruit_at_the_yaw_axis_is_out_of_reach(aside: Robot) -> None:
+def test_fruit_at_the_yaw_axis_is_out_of_reach(aside: Robot) -> None:
     with pytest.raises(
         UnreachableError, match=r"nearer to the yaw axis than the arm plane, which passes that at 0\.15 m"
     ):

@@ -84,14 +84,14 @@ def test_grasps_among_obstacles(robot: Robot, seed: int) -> None:
 
 
 @pytest.mark.parametrize("approach", [118.0, 125.0, (90.0, 120.0), (115.0, 470.0), (-360.0, 0.0)])
-def test_approach_is_kept(robot: Robot, approach: Any) -> None:
+def test_approach_angle_holds(robot: Robot, approach: Any) -> None:
     ways = found(robot, approach_deg=approach)
     low, high = approach if isinstance(approach, tuple) else (approach, approach)
     for grasp in ways:
         assert (math.degrees(grasp.approach) - low + 1e-7) % 360.0 <= high - low + 2e-7
 
 
-def test_standoff_is_shorter_where_a_long_one_is_in_the_way(robot: Robot) -> None:
+def test_standoff_is_shortened_if_long_one_collides(robot: Robot) -> None:
     """A plate behind the hand at one approach angle leaves half of the stand-off, then a fifth, then none."""
     free = found(robot, fruit=False, least_standoff=0.0, standoff=0.1)
     grasp = free[len(free) // 2]
@@ -145,7 +145,7 @@ def test_obstacles_on_the_way_in_are_seen(robot: Robot) -> None:
 # Targets without a grasp
 
 
-def test_blocked_names_what_is_in_the_way(robot: Robot) -> None:
+def test_blocked_error_names_obstacle(robot: Robot) -> None:
     trunk = post("trunk", 40.0, 1.3, 0.0, 3.0, 0.1)
     with pytest.raises(BlockedError, match="fruit 'fruit' is blocked: all") as caught:
         found(robot, [trunk])

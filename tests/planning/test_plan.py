@@ -59,14 +59,14 @@ def test_reference_scene(robot: Robot, scene: Scene) -> None:
 # Scenes
 
 
-def test_start_and_goal_beside_the_grid(robot: Robot, scene: Scene) -> None:
+def test_start_and_goal_off_the_grid(robot: Robot, scene: Scene) -> None:
     beside = task(scene.obstacles, (0.0, 0.31, 0.47, 0.5), (0.0, 44.713, 60.29, 69.51))
     result = plan(robot, beside)
     assert_sound(robot, beside, result)
     np.testing.assert_allclose(result.grid_path[[0, -1]], [result.problem.start, result.problem.goal], atol=0)
 
 
-def test_base_stands_at_its_start_value(robot: Robot) -> None:
+def test_locked_base_stays_at_its_start_value(robot: Robot) -> None:
     """With the plane turned by 30 degrees the task has the answer that it had."""
     x, y = math.cos(math.radians(30)), math.sin(math.radians(30))
     turned = task([Sphere(name="ball", center=(x, y, 1.9), radius=0.15)], (30.0, *START[1:]), (30.0, *GOAL[1:]))
@@ -110,7 +110,7 @@ BLOCKED = {
 
 
 @pytest.mark.parametrize("kind", BLOCKED)
-def test_no_path_names_what_blocks(robot: Robot, kind: str) -> None:
+def test_no_path_error_names_obstacle(robot: Robot, kind: str) -> None:
     scene = task(BLOCKED[kind])
     assert not joined(robot, scene, 3.0)
     methods: tuple[Any, ...] = ("two-level", "dense")
@@ -126,7 +126,7 @@ def test_no_path_names_what_blocks(robot: Robot, kind: str) -> None:
             assert word in str(error.value)
 
 
-def test_brute_force_agrees_where_there_is_a_path(robot: Robot, scene: Scene) -> None:
+def test_brute_force_agrees_on_existence_of_path(robot: Robot, scene: Scene) -> None:
     assert joined(robot, scene, 3.0)
 
 
@@ -206,7 +206,7 @@ def test_results_are_a_line(robot: Robot, scene: Scene) -> None:
     assert len(repr(result.motion)) < 1500
 
 
-def test_what_is_not_finite_becomes_null(tmp_path: Path) -> None:
+def test_values_that_are_not_finite_become_null(tmp_path: Path) -> None:
     path = write_report({"a": math.inf, "b": [-math.inf, {"c": (math.nan, 1.5)}], "d": None}, tmp_path / "r.json")
     expected = {"format": "hplan-report/1", "a": None, "b": [None, {"c": [None, 1.5]}], "d": None}
     assert json.loads(path.read_text()) == expected
@@ -230,7 +230,7 @@ def test_failure_report_carries_the_facts(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("sigmas", [0.0, 1.0, 3.0, 4.5])
-def test_what_sigmas_leave_is_what_they_leave_in_space(sigmas: float) -> None:
+def test_free_space_of_sigmas_agrees_with_distances(sigmas: float) -> None:
     assert beyond_sigmas(sigmas) == pytest.approx(chi(3).sf(sigmas), rel=1e-9)
     balls = tuple(Sphere(name=f"{k}", center=(2, k, 1), radius=0.1, sigma=0.01 * (k > 0)) for k in range(4))
     scene = load_scene().model_copy(update={"obstacles": balls})

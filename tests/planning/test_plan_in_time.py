@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import threading
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from planned import post, task
@@ -15,9 +15,9 @@ from hplan.apps.cli.main import main
 from hplan.apps.execution.simulation import execute
 from hplan.base.deadline import current
 from hplan.errors import MovingObstacleError, NotFoundError, NotInTimeError, OptionError, PlanCancelledError
+from hplan.planning.motion import Plan
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import plan
-from hplan.planning.plans import plans
+from hplan.planning.plan import plan, solver
 from hplan.planning.problem import Problem
 from hplan.planning.world import World, without_inside
 from hplan.robot.model import Robot
@@ -37,7 +37,7 @@ def blocked() -> Scene:
     return task((-40.0, 30.0, 30.0, 30.0), (40.0, 30.0, 30.0, 30.0), [post("post", 0.0, 1.2, 0.3, 2.0)])
 
 
-def test_a_bound_takes_too_long_for_a_deadline() -> None:
+def test_bound_takes_too_long_for_a_deadline() -> None:
     with pytest.raises(OptionError, match="bound"):
         hplan.PlanOptions(deadline_s=1.0, bound=True)
 
@@ -58,7 +58,7 @@ def time_is_up(*_: object) -> None:
     limit.keep(2.0 * ENOUGH_S)
 
 
-def test_an_error_says_what_was_tried(robot: Robot) -> None:
+def test_error_lists_attempts(robot: Robot) -> None:
     """Time is up in the first stage."""
     options = hplan.PlanOptions(deadline_s=ENOUGH_S)
     with pytest.raises(NotInTimeError) as error:
@@ -67,7 +67,7 @@ def test_an_error_says_what_was_tried(robot: Robot) -> None:
     assert "1e+09 ms are over; tried: grasps for" in error.value.message
 
 
-def test_a_plan_is_cancelled_from_another_thread(robot: Robot) -> None:
+def test_plan_is_cancelled_from_another_thread(robot: Robot) -> None:
     event = threading.Event()
     with pytest.raises(PlanCancelledError) as error:
         hplan.plan(robot, blocked(), cancel=event, progress=lambda _: event.set())
@@ -78,7 +78,7 @@ def test_a_plan_is_cancelled_from_another_thread(robot: Robot) -> None:
         hplan.plan_tour(robot, hplan.load_scene("tour"), cancel=lambda: True)
 
 
-def test_a_plan_that_is_cancelled_in_a_long_flood_comes_back(robot: Robot) -> None:
+def test_plan_that_is_cancelled_in_a_long_flood_comes_back(robot: Robot) -> None:
     """One kernel searches a grid of 3e7 nodes by brute force; a timer's thread sets the event meanwhile, or before."""
     event, locked = threading.Event(), hplan.load_scene()
     hplan.plan(robot, locked, hplan.PlanOptions(method="dense", step_deg=3.0))  # loads the kernels
@@ -88,7 +88,7 @@ def test_a_plan_that_is_cancelled_in_a_long_flood_comes_back(robot: Robot) -> No
         hplan.plan(robot, locked, options, cancel=event)
 
 
-def test_what_a_function_raises_that_is_asked_comes_through(robot: Robot) -> None:
+def test_exceptions_of_callbacks_propagate(robot: Robot) -> None:
     def broken() -> bool:
         raise ZeroDivisionError("broken")
 
@@ -99,12 +99,12 @@ def test_what_a_function_raises_that_is_asked_comes_through(robot: Robot) -> Non
     assert error.value.option == "cancel"
 
 
-def test_a_tour_has_to_be_complete_in_time(robot: Robot) -> None:
+def test_tour_has_to_be_complete_in_time(robot: Robot) -> None:
     with pytest.raises(NotInTimeError, match="a tour over 20 fruits"):
         hplan.plan_tour(robot, hplan.load_scene("tour"), hplan.PlanOptions(deadline_s=0.01))
 
 
-def test_the_command_says_that_time_is_up(tmp_path: Path) -> None:
+def test_command_reports_timeout(tmp_path: Path) -> None:
     assert main(["plan", "--deadline", "1e-6", "--quiet", "--out", str(tmp_path)]) == 6
     report = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
     assert (report["status"], report["error"]["kind"]) == ("failed", "NotInTimeError")
@@ -113,7 +113,7 @@ def test_the_command_says_that_time_is_up(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["table-1", "orchard-row"])
-def test_what_is_found_in_time_comes_to_what_is_found_without_a_deadline(robot: Robot, name: str) -> None:
+def test_anytime_result_converges_to_result_without_deadline(robot: Robot, name: str) -> None:
     scene = hplan.load_scene(name)
     alone, in_time = hplan.plan(robot, scene), hplan.plan(robot, scene, hplan.PlanOptions(deadline_s=ENOUGH_S))
     assert in_time.certificate.verified
@@ -125,17 +125,17 @@ def test_what_is_found_in_time_comes_to_what_is_found_without_a_deadline(robot: 
     assert 0.0 < told["first_s"] <= told["elapsed_s"] < ENOUGH_S
 
 
-def test_the_best_so_far_is_handed_out_at_the_deadline(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_best_so_far_is_handed_out_at_the_deadline(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     """Time is up after the first motion."""
     found = []
 
-    def one(*arguments: Any, **options: Any) -> Any:
-        for each in plans(*arguments, **options):
+    def one(problem: Problem) -> Iterator[Plan]:
+        for each in solver()(problem):
             found.append(each.duration)
             yield each
             time_is_up()
 
-    monkeypatch.setattr("hplan.planning.plan.plans", one)
+    monkeypatch.setattr("hplan.planning.plan.solver", lambda *_: one)
     result = hplan.plan(robot, hplan.load_scene("orchard-row"), hplan.PlanOptions(deadline_s=ENOUGH_S))
     assert result.certificate.verified
     assert len(found) == 1
@@ -147,14 +147,14 @@ def test_the_best_so_far_is_handed_out_at_the_deadline(robot: Robot, monkeypatch
 
 def test_each_motion_in_time_is_certified_and_quicker_than_the_one_before(robot: Robot) -> None:
     problem = Problem.of(robot, hplan.load_scene("tour"), hplan.PlanOptions(deadline_s=ENOUGH_S))
-    found = list(plans(problem))
+    found = list(solver()(problem))
     assert len(found) > 1
     assert all(motion.certificate.verified for plan in found for motion in plan.motions)
     durations = [plan.duration for plan in found]
     assert durations == sorted(set(durations), reverse=True)
 
 
-def test_the_robot_keeps_the_last_world_that_was_planned_in() -> None:
+def test_robot_keeps_the_last_world_that_was_planned_in() -> None:
     robot, scene, asked = hplan.load_robot(), hplan.load_scene("tour"), hplan.PlanOptions()
 
     def world(scene: Scene, options: hplan.PlanOptions = asked) -> World:
@@ -205,7 +205,7 @@ def test_tours_bounds_worlds_and_execution(robot):
     refused(lambda: execute(robot, SCENE, result.trajectory))
 
 
-def test_a_planner_plans_among_what_moves_until_it_stands_still(robot):
+def test_planner_plans_among_moving_obstacles_until_they_rest(robot):
     planner = hplan.Planner(robot, SCENE)
     assert planner.plan().certificate.verified
     assert planner.replan().certificate.nearest_s is not None

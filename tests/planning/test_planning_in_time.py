@@ -59,7 +59,7 @@ def assert_sound(robot: Robot, scene: Scene, result: PlanResult) -> None:
     assert [result.phases[0].start_s, result.phases[-1].end_s] == [0.0, motion.duration]
 
 
-def test_a_motion_that_is_not_in_the_way_is_as_if_nothing_moved(robot):
+def test_moving_obstacle_off_the_path_changes_nothing(robot):
     scene = task(START, GOAL, [ball(robot, (0.0, (0.0, 3.0, 0.0)), (1.0, (0.0, 1.0, 0.0)))], **PLANAR)
     result = plan(robot, scene)
     alone = plan(robot, without_moving(scene))
@@ -70,7 +70,7 @@ def test_a_motion_that_is_not_in_the_way_is_as_if_nothing_moved(robot):
     assert result.motion.problem.scene is scene
 
 
-def test_it_goes_at_once_before_what_comes(robot):
+def test_arm_passes_before_approaching_obstacle(robot):
     """An obstacle arrives and stays: going around it later takes longer than going first."""
     comes = ball(robot, (0.0, (0.0, 2.0, 0.0)), (1.3, (0.0, 0.0, 0.0)))
     scene = task(START, GOAL, [comes], **PLANAR)
@@ -87,7 +87,7 @@ def wall(gone_s: float) -> Box:
     return Box(name="wall", center=(1.9, 0.0, 1.4), size=(3.0, 0.1, 0.2), track=up)
 
 
-def test_it_waits_where_there_is_no_way_around(robot):
+def test_arm_waits_without_detour(robot):
     scene = task(START, GOAL, [wall(1.0)], **PLANAR)
     result = plan(robot, scene)
     assert_sound(robot, scene, result)
@@ -98,7 +98,7 @@ def test_it_waits_where_there_is_no_way_around(robot):
     assert result.trajectory.duration > told["at_full_speed_s"]
 
 
-def test_it_goes_around_what_stays_in_the_way_for_long(robot):
+def test_arm_avoids_obstacle_that_blocks_for_long(robot):
     low = ball(robot, (0.0, (0.0, 0.0, 0.0)), (30.0, (0.0, 0.0, 0.01)))
     scene = task(START, GOAL, [low], **PLANAR)
     result = plan(robot, scene)
@@ -107,7 +107,7 @@ def test_it_goes_around_what_stays_in_the_way_for_long(robot):
     assert result.trajectory.duration < 3.0
 
 
-def test_what_never_goes_away_is_named(robot):
+def test_permanent_obstacle_is_named(robot):
     scene = task(START, GOAL, [wall(1.0)], **PLANAR)
     stays = scene.obstacles[0].track.model_copy(update={"shifts_m": ((0, 0, 0.0), (0, 0, 0.001), (0, 0, 0.002))})
     scene = scene.with_obstacles([scene.obstacles[0].model_copy(update={"track": stays})])
@@ -119,7 +119,7 @@ def test_what_never_goes_away_is_named(robot):
     assert "wall" in caught.value.message
 
 
-def test_a_start_that_is_met_at_once_is_named(robot):
+def test_obstacle_that_hits_start_is_named(robot):
     end = robot.tool_positions(np.radians(START))
     there = Sphere(
         name="it",
@@ -135,7 +135,7 @@ def test_a_start_that_is_met_at_once_is_named(robot):
         plan(robot, task(START, GOAL, [wall(0.1), there.model_copy(update={"track": None, "name": "still"})]))
 
 
-def test_the_base_creeps_along_the_row(robot):
+def test_base_moves_slowly_along_the_row(robot):
     """A row of posts moves past the creeping base while the arm swings."""
     creep = Track(times_s=(0.0, 10.0), shifts_m=((0.0, 0.0, 0.0), (0.0, 2.0, 0.0)))
     end = on_the_way(robot)
@@ -151,7 +151,7 @@ def test_the_base_creeps_along_the_row(robot):
     )
 
 
-def test_a_fruit_is_picked_while_something_passes(robot):
+def test_fruit_is_picked_while_something_passes(robot):
     """All phases have the new timing; the contact stays at its place on the path."""
     apple = Fruit(name="apple", center=(1.3, 0.3, 1.5), radius=0.04)
     still = task(START, Goal(fruit="apple"), [], fruits=(apple,))
@@ -175,7 +175,7 @@ def test_a_fruit_is_picked_while_something_passes(robot):
         plan(robot, task(START, Goal(fruit="apple"), [passes], fruits=(moves,)))
 
 
-def test_poses_that_stand_for_a_movement_are_close_together(robot):
+def test_poses_of_movement_are_closely_spaced(robot):
     scene = task(START, GOAL, [ball(robot, (0.0, (0, 0, 0.0)), (2.0, (0, 0.3, 0.0))), wall(1.0)], **PLANAR)
     among = among_poses(scene, 0.0, 2.0)
     assert not among.moves
@@ -213,7 +213,7 @@ def test_cells_that_are_clear_are_clear_all_the_time(robot):
     assert 0.3 < count / (12 * len(cells.configurations)) < 1.0
 
 
-def test_what_moves_is_passed_farther_off_where_it_is_uncertain(robot):
+def test_uncertain_moving_obstacle_is_passed_with_more_clearance(robot):
     certain = ball(robot, (0.0, (0.0, -1.0, 0.0)), (1.0, (0.0, 1.0, 0.0)))
     away = [
         MovingField(robot, task(START, GOAL, [item]), sigmas=2.0, tracking_error=0.0)
@@ -224,7 +224,7 @@ def test_what_moves_is_passed_farther_off_where_it_is_uncertain(robot):
     np.testing.assert_allclose(away[0] - away[1], 0.02, atol=1e-9)
 
 
-def test_the_speed_changes_where_acceleration_and_torque_have_room(robot):
+def test_speed_changes_where_acceleration_and_torque_have_room(robot):
     """By the equations of motion, for a barely strong enough arm."""
     motion = plan(robot, task(START, GOAL, [], **PLANAR), PlanOptions(effort="quick")).trajectory
     arm = replace(robot, torque_limit=1.02 * np.abs(motion.torque).max(axis=0))
@@ -259,7 +259,7 @@ class Window:
 
 
 @pytest.mark.parametrize("at_rest", [True, False], ids=["from rest", "in motion"])
-def test_the_earliest_schedule_against_a_search_of_all(at_rest):
+def test_earliest_schedule_against_a_search_of_all(at_rest):
     """On a small grid: breadth first over all states in plain Python."""
     duration = 0.3
     for opens in (0, 4, 9, 15):

@@ -107,7 +107,7 @@ def test_finer_angles_before_blocked(robot: Robot, name: str, monkeypatch: pytes
     assert found.grasp.room > least
 
 
-def test_blocked_says_how_many_were_tried_and_by_how_much(robot: Robot) -> None:
+def test_blocked_error_reports_attempts_and_depth(robot: Robot) -> None:
     """No configuration has the reported best clearance, however fine the spacing."""
     scene = TIGHT["base locked"]
     tight = scene.with_obstacles(
@@ -130,7 +130,7 @@ def test_blocked_says_how_many_were_tried_and_by_how_much(robot: Robot) -> None:
     assert best - 1e-3 <= error.best_clearance_m <= min(best + 1e-4, SPARE)
 
 
-def test_no_path_is_said_of_all_grasps(robot: Robot) -> None:
+def test_no_path_error_covers_all_grasps(robot: Robot) -> None:
     fruit = {"name": "apple", "center": (-0.6, 0.6, 1.6), "radius": 0.04}
     scene = task((0.0, 70.0, 20.0, 20.0), Goal(fruit="apple"), frame_about_upper_arm(0.0, 70.0), fruits=(fruit,))
     ways, likely = grasps_of(robot, scene)
@@ -144,7 +144,7 @@ def test_no_path_is_said_of_all_grasps(robot: Robot) -> None:
     assert error.blockers
 
 
-def test_the_error_of_several_goals() -> None:
+def test_error_of_several_goals() -> None:
     none, doubt = NoPathError("no path exists on the grid: here", reached_cells=7), CertificationError("doubt")
     late = TimingError("late", joint="elbow", cause="torque")
     assert FailuresError((doubt,)).as_one() is doubt
@@ -290,7 +290,7 @@ def orchard_arm() -> Robot:
 
 
 @pytest.mark.parametrize(("approach_deg", "room"), [(-20.0, 1e-4), (35.0, 1e-4), (-20.0, 3e-4), (35.0, 6e-4)])
-def test_a_slot_with_little_room_is_entered(orchard_arm: Robot, room: float, approach_deg: float) -> None:
+def test_slot_with_little_room_is_entered(orchard_arm: Robot, room: float, approach_deg: float) -> None:
     """Straight and certified; the grasp reports its room."""
     posed = slot(orchard_arm, approach_deg, room)
     found = plan(orchard_arm, posed)
@@ -300,7 +300,7 @@ def test_a_slot_with_little_room_is_entered(orchard_arm: Robot, room: float, app
     assert found.grasp.room == pytest.approx(room, abs=1e-6)
 
 
-def test_a_slot_with_less_is_refused_with_the_room_there_is(orchard_arm: Robot) -> None:
+def test_slot_with_less_is_refused_with_the_room_there_is(orchard_arm: Robot) -> None:
     room = 0.5 * ROOMS[-1]
     with pytest.raises(BlockedError, match=r"spare clearance 0\.025 mm at the best of them.*0\.05 mm are needed") as no:
         plan(orchard_arm, slot(orchard_arm, 35.0, room))
@@ -308,7 +308,7 @@ def test_a_slot_with_less_is_refused_with_the_room_there_is(orchard_arm: Robot) 
     assert no.value.needed_clearance_m == ROOMS[-1]
 
 
-def test_a_stand_off_with_little_room_is_better_than_none(orchard_arm: Robot) -> None:
+def test_standoff_with_small_clearance_beats_no_standoff(orchard_arm: Robot) -> None:
     """A ball is behind the wrist at the stand-off.
 
     The fruit is touched during the approach only, not during the whole motion.

@@ -52,7 +52,7 @@ def reached(arm: Robot, scene: Scene, q: FloatArray) -> bool:
 
 @pytest.mark.parametrize("frame", [None, "wrist_2_link"])
 @pytest.mark.parametrize("obstacles", [(), (POST,)])
-def test_a_plan_ends_at_the_pose(arm: Robot, frame: str | None, obstacles: tuple[Obstacle, ...]) -> None:
+def test_plan_ends_at_the_pose(arm: Robot, frame: str | None, obstacles: tuple[Obstacle, ...]) -> None:
     scene = scene_of(pose_at(arm, END, frame), *obstacles)
     found = plan(arm, scene, QUICK)
     assert found.certificate.verified
@@ -61,7 +61,7 @@ def test_a_plan_ends_at_the_pose(arm: Robot, frame: str | None, obstacles: tuple
     assert (plan(arm, scene, QUICK).trajectory.position == found.trajectory.position).all()
 
 
-def test_the_certificate_refuses_another_pose(arm: Robot) -> None:
+def test_certificate_refuses_another_pose(arm: Robot) -> None:
     goal = pose_at(arm, END)
     found = plan(arm, scene_of(goal), QUICK).trajectory
     x, y, z = goal["position"]
@@ -73,14 +73,14 @@ def test_the_certificate_refuses_another_pose(arm: Robot) -> None:
         assert any("pose of the goal" in text for text in refused.violations)
 
 
-def test_a_pose_in_an_obstacle_is_blocked_and_says_by_what(arm: Robot) -> None:
+def test_pose_in_obstacle_is_blocked_and_names_it(arm: Robot) -> None:
     goal = pose_at(arm, END)
     with pytest.raises(errors.BlockedError) as refused:
         plan(arm, scene_of(goal, Sphere(name="ball", center=goal["position"], radius=0.05)), QUICK)
     assert refused.value.obstacles[0]["obstacle"] == "ball"
 
 
-def test_a_pose_out_of_reach(arm: Robot) -> None:
+def test_pose_out_of_reach(arm: Robot) -> None:
     with pytest.raises(errors.UnreachableError):
         plan(arm, scene_of({"position": (9.0, 0.0, 0.0), "quaternion_xyzw": (0.0, 0.0, 0.0, 1.0)}), QUICK)
 
@@ -97,7 +97,7 @@ def test_other_arms(name: str, tmp_path_factory: pytest.TempPathFactory) -> None
     assert reached(robot, scene, found.trajectory.position[-1])
 
 
-def test_digests_tell_poses_apart() -> None:
+def test_digests_differ_between_poses() -> None:
     goal = {"position": (0.5, 0.1, 0.4), "quaternion_xyzw": (0.0, HALF, 0.0, HALF)}
     goals = [
         goal,
@@ -108,7 +108,7 @@ def test_digests_tell_poses_apart() -> None:
     assert len({scene_digest(scene_of(each)) for each in goals}) == len(goals)
 
 
-def test_a_quaternion_is_a_rotation() -> None:
+def test_quaternion_is_a_rotation() -> None:
     assert quaternion_rotation([0.0, 0.0, HALF, HALF]) == pytest.approx(np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]]))
     drawn = np.random.default_rng(1).normal(size=(20, 4))
     for q in drawn / np.linalg.norm(drawn, axis=1)[:, None]:

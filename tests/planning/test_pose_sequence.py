@@ -65,7 +65,7 @@ def seen(robot: Robot, result: PlanResult, poses: list[FloatArray], straight: li
     return found
 
 
-def test_lines_and_tilt_are_kept(arm: Robot) -> None:
+def test_lines_and_tilt_hold(arm: Robot) -> None:
     here = arm.forward_kinematics(begin_of(arm))
     poses = [moved(here, 0.0, 0.0, -0.12), moved(here, -0.1, 0.3, 0.0, yaw=0.8), moved(here, -0.1, 0.3, -0.1, yaw=1.0)]
     straight = [True, False, True]
@@ -136,7 +136,7 @@ def test_without_a_tilt_a_motion_is_that_of_a_plan(arm: Robot) -> None:
     assert free.trajectory.duration <= upright.trajectory.duration
 
 
-def test_a_joint_that_is_locked_stands_still(tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_locked_joint_stays_still(tmp_path_factory: pytest.TempPathFactory) -> None:
     arm = loaded_arm("panda", tmp_path_factory)
     pose, name = moved(arm.forward_kinematics(begin_of(arm)), 0.0, 0.05, -0.05), arm.joint_names[2]
     result = hplan.plan_poses(arm, scene_of(arm, locked_joints=(name,)), [pose])
@@ -163,7 +163,7 @@ def test_bounds_hold_between_rows(arm: Robot, seed: int) -> None:
     assert late.tilt_rad > exact.tilt_rad + 0.001 * arm.dof
 
 
-def test_what_cannot_be_had_is_refused(arm: Robot) -> None:
+def test_impossible_requests_are_refused(arm: Robot) -> None:
     begin = begin_of(arm)
     here, scene = arm.forward_kinematics(begin), scene_of(arm)
     tilted = moved(here, 0.0, 0.0, -0.05, lean=np.radians(8.0))

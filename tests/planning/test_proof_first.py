@@ -42,7 +42,7 @@ OPTIONS = {
 
 
 @pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
-def test_no_path_is_the_error_and_no_tree_grows(
+def test_proof_of_no_path_comes_before_any_tree(
     options: PlanOptions, robot: Robot, closed: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(path_finder, "tree_path", no_search)
@@ -60,7 +60,7 @@ def time_is_up(*_: object) -> Any:
     raise TimeIsUpError
 
 
-def test_a_deadline_while_the_blockers_are_found_keeps_the_proof(
+def test_deadline_while_the_blockers_are_found_keeps_the_proof(
     robot: Robot, closed: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(no_path_proof, "blockers", time_is_up)

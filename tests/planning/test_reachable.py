@@ -47,7 +47,7 @@ def canopy(seed: int) -> Scene:
     return task(TUCKED, Goal(fruit="apple 0", approach_deg=(-90.0, 100.0)), twigs, fruits=tuple(fruits))
 
 
-def test_it_says_what_plan_then_does(arm: Robot) -> None:
+def test_reachable_agrees_with_plan(arm: Robot) -> None:
     seen = []
     for seed in range(3):
         scene = canopy(seed)
@@ -73,7 +73,7 @@ def test_it_says_what_plan_then_does(arm: Robot) -> None:
     assert set(seen) == {None, "out_of_reach", "blocked"}
 
 
-def test_motions_are_looked_for_only_where_that_is_asked(robot: Robot) -> None:
+def test_motions_are_planned_only_on_request(robot: Robot) -> None:
     apple = {"name": "apple", "center": (-0.6, 0.6, 1.6), "radius": 0.04}
     frame = frame_about_upper_arm(0.0, 70.0)
     scene = task((0.0, 70.0, 20.0, 20.0), Goal(fruit="apple"), frame, fruits=(apple,))
@@ -84,7 +84,7 @@ def test_motions_are_looked_for_only_where_that_is_asked(robot: Robot) -> None:
     assert "no path exists" in shut.detail
 
 
-def test_what_can_be_picked_is_shown_by_motions_that_a_stranger_certifies(arm: Robot) -> None:
+def test_pickable_fruit_has_motions_that_certify(arm: Robot) -> None:
     for with_transit in (False, True):
         scene = canopy(1)
         found = [one for one in hplan.reachable(arm, scene, motions=with_transit).values() if one.can_be_picked]
@@ -103,7 +103,7 @@ def test_what_can_be_picked_is_shown_by_motions_that_a_stranger_certifies(arm: R
 
 
 @pytest.mark.parametrize("gap", [-0.03, -0.005, 0.02])
-def test_what_is_in_the_way_and_how_deep(arm: Robot, gap: float) -> None:
+def test_blocking_obstacle_and_depth_are_reported(arm: Robot, gap: float) -> None:
     """A ball so near to the fruit's center that the end of the hand is in it, from wherever it comes."""
     half_width, radius, z = float(arm.arm.half_widths[-1]), 0.05, 1.4
     beyond = 1.5 + radius + half_width + gap
@@ -132,7 +132,7 @@ def test_without_a_certified_approach(arm: Robot, monkeypatch: pytest.MonkeyPatc
     assert (found["apple"].reason, found["apple"].detail) == ("no_approach", "not shown clear")
 
 
-def test_a_deadline_and_a_cancelled_question(arm: Robot) -> None:
+def test_deadline_and_a_cancelled_question(arm: Robot) -> None:
     scene = canopy(0)
     with pytest.raises(NotInTimeError, match="8 fruits"):
         hplan.reachable(arm, scene, PlanOptions(deadline_s=1e-4))

@@ -41,7 +41,7 @@ def blocked(robot: Robot) -> tuple[Problem, World]:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_path_is_clear_all_along(robot: Robot, blocked: tuple[Problem, World], seed: int) -> None:
+def test_path_is_clear_everywhere(robot: Robot, blocked: tuple[Problem, World], seed: int) -> None:
     problem, world = blocked
     path = path_of(problem, 50_000, seed)
     assert path is not None
@@ -70,7 +70,7 @@ def test_nothing_is_found_through_a_plate(robot: Robot) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_trees_that_grow_on_are_those_that_grow_at_once(blocked: tuple[Problem, World], seed: int) -> None:
+def test_trees_grown_in_steps_equal_trees_grown_in_one_call(blocked: tuple[Problem, World], seed: int) -> None:
     problem, _ = blocked
     arguments, pairs = (problem, MARGIN), Pairs()
     at_once, used = tree_path(*arguments, 50_000, seed)
@@ -110,7 +110,7 @@ def test_of_several_each_pair_is_one_that_grows_alone(robot: Robot, blocked: tup
     assert all(any(np.array_equal(path.waypoints, other) for other in alone) for path in paths)
 
 
-def test_a_second_pair_finds_a_better_side_where_the_first_ones_motion_lasts_long(
+def test_second_pair_finds_a_better_side_where_the_first_ones_motion_lasts_long(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     arm = load_robot("ur5")

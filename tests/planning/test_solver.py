@@ -34,7 +34,7 @@ def assert_motion(robot: Robot, scene: Scene, motion: Transit) -> None:
     np.testing.assert_array_equal(motion.waypoints[[0, -1]], [motion.problem.start, motion.problem.goal])
 
 
-def test_a_nearer_goal_around_something_beats_a_far_straight_one(robot: Robot) -> None:
+def test_nearer_goal_around_something_beats_a_far_straight_one(robot: Robot) -> None:
     """A low post before the near goal costs little; the far goal takes more than twice as long."""
     low = [post("low", 15.0, 1.7, 0.0, 1.65, 0.03)]
     near = task(START, NEAR, low)
@@ -56,7 +56,7 @@ def test_locked_base_tries_the_goals_in_turn(robot: Robot) -> None:
         best_motion(tasks[0])
 
 
-def test_what_is_not_certified_is_refused_unless_wanted(robot: Robot) -> None:
+def test_uncertified_plan_is_refused_by_default(robot: Robot) -> None:
     """A motion timed without the ball, certified with it."""
     motion = best_motion(posed(robot, task(BELOW, ABOVE)))[1]
     with_ball = posed(robot, task(BELOW, ABOVE, BAR))
@@ -76,7 +76,7 @@ def after(robot: Robot, before: Transit, scene: Scene) -> Transit | None:
     return reuse_motion(posed(robot, scene, OPTIONS), before)
 
 
-def test_kept_and_repaired(robot: Robot) -> None:
+def test_path_is_kept_or_repaired(robot: Robot) -> None:
     obstacles: list[Any] = [post("post", 30.0, 1.2, 0.0, 2.0, 0.05)]
     scene = task(START, (60.0, 30.0, 20.0, 20.0), obstacles)
     before = best_motion(posed(robot, scene, OPTIONS))[1]

@@ -46,7 +46,7 @@ def test_each_obstacle_grows_by_its_own_uncertainty(robot: Robot) -> None:
             np.testing.assert_allclose(world.field.link_clearances(q, 100.0), grown.min(axis=1) - 0.02, atol=1e-6)
 
 
-def test_the_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
+def test_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
     """With and without obstacles, for any uncertainty."""
     spec = ArmSpec(
         name="bendy",
@@ -149,7 +149,7 @@ def test_refusal_of_a_configuration_names_the_largest_error(robot: Robot) -> Non
     assert min(kinds.values()) >= 1
 
 
-def test_the_last_link_alone_may_touch(robot: Robot) -> None:
+def test_last_link_alone_may_touch(robot: Robot) -> None:
     solids = [*BALLS, Sphere(name="fruit", center=(1.2, 0.0, 0.6), radius=0.04, sigma=0.01)]
     world = World.of(robot, solids, clearance=0.01, sigmas=3.0)
     near, without = world.touching("fruit"), World.of(robot, BALLS, clearance=0.01, sigmas=3.0)
@@ -195,7 +195,7 @@ def test_ground_may_touch_the_pedestal(robot: Robot) -> None:
     ids=["ball", "capsule", "box", "cloud"],
 )
 @pytest.mark.parametrize("yaw", [0.0, -2.0])
-def test_what_stands_in_the_base_is_named(robot: Robot, obstacle, link: str, yaw: float) -> None:
+def test_obstacle_in_base_is_named(robot: Robot, obstacle, link: str, yaw: float) -> None:
     world = World.of(robot, [*BALLS, *obstacle.solids])
     with pytest.raises(InputError) as caught:
         world.check_base(yaw)
@@ -221,7 +221,7 @@ def test_no_obstacle_is_missed(robot: Robot) -> None:
     assert refused > 3
 
 
-def test_what_stands_in_the_pedestal_is_left_out(robot: Robot) -> None:
+def test_obstacle_in_pedestal_is_left_out(robot: Robot) -> None:
     scene = Scene(
         name="row",
         start=Start(joints_deg=(0.0, 90.0, 90.0, 90.0)),

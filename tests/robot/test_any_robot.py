@@ -69,7 +69,7 @@ def test_without_the_package_its_extra_is_named(monkeypatch):
         load_robot("pandas")
 
 
-def test_joints_beside_the_chain_move_when_asked(tmp_path):
+def test_joints_off_the_chain_move_on_request(tmp_path):
     """By default those up to the tool move; all of a tree may."""
     assert load_robot(TREE).joint_names == ("column", "left")
     whole = load_robot(TREE, joints=["column", "left", "right"])
@@ -128,7 +128,7 @@ def test_srdf(tmp_path):
         load_robot(LIFT, srdf=tmp_path / "none.srdf")
 
 
-def test_a_tool_frame_that_is_missing_is_told_before_joints_that_only_it_lets_move():
+def test_missing_tool_frame_is_reported_before_its_joints():
     """Without it there is no chain, and mimicking fingers would seem to be joints of the arm."""
     finger = '<joint name="finger" type="revolute"><parent link="base_link"/><child link="finger_link"/>'
     limit = '<axis xyz="0 0 1"/><limit lower="0" upper="1" velocity="1" effort="1"/>'
@@ -149,7 +149,7 @@ def test_limits_that_ship_are_taken_by_the_name_of_their_robot():
     assert load_robot(text, limits="ur5").acceleration_limit.tolist() == list(theirs.values())
 
 
-def test_a_mesh_that_cannot_be_read_is_named(tmp_path):
+def test_mesh_that_cannot_be_read_is_named(tmp_path):
     (tmp_path / "hand.stl").write_bytes(b"")
     mesh = f'<mesh filename="{tmp_path}/hand.stl"/>'
     with pytest.raises(RobotFileError, match=r"refuses it: Could not load resource \S+hand.stl File is empty \("):
@@ -208,7 +208,7 @@ def test_arms_of_the_family(name, tmp_path):
     assert dynamics.bodies is not None
 
 
-def test_the_harvester(robot):
+def test_harvester(robot):
     assert_as_pinocchio(robot.model, np.random.default_rng(1), 200)
 
 
@@ -235,7 +235,7 @@ def test_no_rows_and_rows_with_gaps(robot):
     np.testing.assert_array_equal(dynamics.torques(wide, v, a), dynamics.torques(q, v, a))
 
 
-def test_what_was_read_cannot_be_changed(robot):
+def test_robot_cannot_be_changed(robot):
     with pytest.raises(ValueError, match="read-only"):
         InverseDynamics.of(robot.model).bodies[0, 0, 0] = 1.0
 

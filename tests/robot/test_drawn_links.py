@@ -14,7 +14,7 @@ import trimesh
 
 import hplan
 from hplan.apps.cli.main import main
-from hplan.apps.view.motion_data import certificate_words
+from hplan.apps.view.page import certificate_words
 from hplan.base.data_files import robot_names, shipped_robots
 from hplan.certificate.digests import robot_digest
 from hplan.errors import MissingVisualWarning, RobotFileError, UncoveredLinkWarning
@@ -145,7 +145,7 @@ def test_robots_by_name_are_covered(name):
 
 
 @pytest.mark.parametrize(("mesh_name", "words"), [("tiny", "other units"), ("flat", "flat collision shape")])
-def test_shapes_of_another_size_are_told(meshes, mesh_name, words):
+def test_shapes_of_other_size_are_reported(meshes, mesh_name, words):
     drawn = body("visual", mesh(meshes / "block.stl"))
     text = arm({3: drawn + body("collision", mesh(meshes / f"{mesh_name}.stl"))})
     robot, found = loaded(text)
@@ -156,7 +156,7 @@ def test_shapes_of_another_size_are_told(meshes, mesh_name, words):
     assert covered.collision_model.ngeoms == robot.collision_model.ngeoms  # it takes the wrong one's place
 
 
-def test_shapes_far_too_large_are_told_and_cover(meshes):
+def test_oversized_shapes_are_reported_and_cover(meshes):
     """A collision mesh in millimetres holds the link: nothing is missed, but nothing can be planned either."""
     drawn = body("visual", mesh(meshes / "block.stl"))
     robot, found = loaded(arm({3: drawn + body("collision", mesh(meshes / "in_mm.stl"))}))
@@ -210,7 +210,7 @@ def branch(robot, points, q, frame):
     return Sphere(name="branch", center=tuple(pose[:3, :3] @ far + pose[:3, 3]), radius=0.01)
 
 
-def test_certificate_report_and_page_name_what_is_not_covered():
+def test_certificate_report_and_page_name_uncovered_shapes():
     robot, _ = loaded(arm({3: SEEN}))
     points = np.array([[0.1, 0.0, 0.3], [0.1, 0.0, 0.0]])
     ball = branch(robot, points, ON_THE_WAY, "l3")
@@ -229,7 +229,7 @@ def test_certificate_report_and_page_name_what_is_not_covered():
     assert (refused.verified, refused.nearest.link, refused.uncovered_links) == (False, "l3", ())
 
 
-def test_commands_name_what_is_not_covered_and_build_shapes(tmp_path, capfd):
+def test_commands_name_uncovered_shapes_and_build_shapes(tmp_path, capfd):
     (tmp_path / "arm.urdf").write_text(arm({3: SEEN}))
     (tmp_path / "scene.yaml").write_text(
         f"format: hplan-scene/1\nname: s\nstart: {{joints_rad: {list(HERE)}}}\ngoal: {{joints_rad: {list(THERE)}}}\n"
@@ -272,7 +272,7 @@ def data_folder():
     return folder
 
 
-def test_the_hand_of_a_public_robot(tmp_path):
+def test_hand_of_a_public_robot(tmp_path):
     """SO-100: gripper and jaw are drawn only; a branch in the plastic was certified without a word."""
     folder = data_folder() / "so_arm_description"
     joints = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
@@ -317,7 +317,7 @@ def test_public_robots(file):
     assert {fault.link for fault in find_shape_faults(*models)} == PUBLIC[file]
 
 
-def test_the_size_of_a_drawn_link_is_compared_in_any_pose():
+def test_size_of_a_drawn_link_is_compared_in_any_pose():
     """A shape and a visual of one size fit, however each is turned about the link."""
     rng = np.random.default_rng(3)
     for _ in range(30):

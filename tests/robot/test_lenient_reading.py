@@ -85,7 +85,7 @@ def test_faults_that_no_motion_depends_on_are_warnings(case):
 
 
 @pytest.mark.parametrize("inertia", ['ixx="0.02" iyy="0.02" izz="0.05"', 'ixx="-0.01" iyy="0.02" izz="0.02"'])
-def test_an_inertia_far_off_is_refused(inertia):
+def test_inertia_far_off_is_refused(inertia):
     with pytest.raises(RobotFileError, match="larger than the sum of the others"):
         load_robot(of_elbow('ixx="0.02" iyy="0.02" izz="0.01"', inertia))
 
@@ -96,14 +96,14 @@ def test_malformed_dynamics_are_left_out():
     assert robot_digest(quiet(text)) == robot_digest(load_robot(WITH_ACCELERATIONS))
 
 
-def test_what_collides_must_still_be_readable():
+def test_collision_shapes_must_be_readable():
     with pytest.raises(RobotFileError, match=r"size of <box> is '0\.07 0,07 0\.38'"):
         load_robot(of_elbow('"0.07 0.07 0.38"', '"0.07 0,07 0.38"'))
     with pytest.raises(RobotFileError, match="a second <inertial> in <link>"):
         load_robot(of_elbow("<inertial>", "<inertial/><inertial>"))
 
 
-def test_all_faults_are_reported_at_once(tmp_path):
+def test_all_faults_are_reported_together(tmp_path):
     text = ARM.replace('velocity="3"', 'velocity="0"', 2).replace('effort="150"/>', "/>", 1)
     text = text.replace('<mass value="2"/>', '<mass value="2,5"/>', 1).replace("<collision>", "<colision>", 1)
     text = text.replace("</collision>", "</colision>", 1).replace('"tool0"', '"flange"')
@@ -159,7 +159,7 @@ def test_the_only_frame_at_the_end_is_the_tool_frame():
 # Limits that the URDF lacks
 
 
-def test_a_limits_file_gives_velocities_and_efforts(tmp_path):
+def test_limits_file_gives_velocities_and_efforts(tmp_path):
     path = write(tmp_path, ARM.replace('velocity="3"', 'velocity="0"', 1).replace('effort="150"', 'effort="0"', 1))
     write(tmp_path, SIX_AXIS_LIMITS + "velocity_rad_s: {shoulder_pan: 2.5}\neffort_nm: {shoulder_pan: 80}\n",
           "arm.limits.yaml")  # fmt: skip
@@ -229,7 +229,7 @@ def extent(robot: Robot) -> np.ndarray:
     return np.ptp(np.asarray(shape.geometry.vertices()), axis=0)
 
 
-def test_the_unit_of_collada_counts(tmp_path):
+def test_unit_of_collada_counts(tmp_path):
     (tmp_path / "part.dae").write_text(DAE.format(" ".join(f"{1e3 * number:g}" for number in CORNERS.ravel())))
     np.testing.assert_allclose(extent(load_robot(write(tmp_path, with_mesh("part.dae")))), [0.1, 0.1, 0.3], rtol=1e-6)
     doubled = load_robot(write(tmp_path, with_mesh("part.dae", ' scale="1 1 2"')))

@@ -82,7 +82,7 @@ def assert_kinematics_match(robot: Robot) -> None:
     np.testing.assert_array_equal(robot.tool_positions(q[3]), tools[3])
 
 
-def test_a_robot_is_its_name_and_joints(robot):
+def test_robot_is_its_name_and_joints(robot):
     assert repr(robot) == "<Robot 'harvester': 4 joints (base_yaw, shoulder, elbow, wrist), tool frame 'tool0'>"
 
 
@@ -254,7 +254,7 @@ TILTS = {
 
 @pytest.mark.parametrize("tilt", [4.4e-3, 3.673e-6, 2e-9])
 @pytest.mark.parametrize("axis", TILTS)
-def test_axes_off_by_a_little_are_refused_and_say_what_to_do(load_edited, tmp_path, axis, tilt):
+def test_slightly_tilted_axes_are_refused_with_advice(load_edited, tmp_path, axis, tilt):
     """0.25 deg passed for vertical once, and 4e-5 rad for parallel: a bound of the proof was then none."""
     old, new, message = TILTS[axis]
     load_edited()
@@ -268,7 +268,7 @@ def test_axes_off_by_a_little_are_refused_and_say_what_to_do(load_edited, tmp_pa
     assert load_robot(path).has_yaw
 
 
-def test_yaw_axis_beside_the_origin(load_edited, tmp_path):
+def test_yaw_axis_off_the_origin(load_edited, tmp_path):
     load_edited()
     old = re.search(r'<child link="turret"/>\s*<origin xyz="0 0 0"/>', SHIPPED).group()
     path = tmp_path / "harvester.urdf"
@@ -290,7 +290,7 @@ ASIDE = {
 
 
 @pytest.mark.parametrize("case", ASIDE)
-def test_what_lies_aside_is_part_of_the_family(load_edited, case):
+def test_displaced_links_belong_to_planar_family(load_edited, case):
     """The plane is the tool's; the bodies of links that are not in it keep their thickness."""
     edit, left, links = ASIDE[case]
     robot = load_edited(edit)
@@ -303,7 +303,7 @@ def test_what_lies_aside_is_part_of_the_family(load_edited, case):
     assert_kinematics_match(robot)
 
 
-def test_six_axis_arm_with_offsets_is_no_planar_arm(tmp_path):
+def test_six_axis_arm_with_offsets_is_not_planar(tmp_path):
     (tmp_path / "six.urdf").write_text(six_axis_arm())
     (tmp_path / "six.limits.yaml").write_text(SIX_AXIS_LIMITS)
     robot = load_robot(tmp_path / "six.urdf")
@@ -327,7 +327,7 @@ def test_six_axis_arm_with_offsets_is_no_planar_arm(tmp_path):
         ("<robot name='a'/>", "Pinocchio refuses it"),
     ],
 )
-def test_text_that_is_no_urdf(tmp_path, text, message):
+def test_text_that_is_not_a_urdf(tmp_path, text, message):
     (tmp_path / "bad.urdf").write_text(text)
     with pytest.raises(RobotFileError) as caught:
         read_models(tmp_path / "bad.urdf")
@@ -435,7 +435,7 @@ def arm(n: int, *, has_yaw: bool = True, name: str = "test_arm") -> ArmSpec:
 
 
 @pytest.mark.parametrize("spec", [HARVESTER, ORCHARD_HARVESTER], ids=lambda spec: spec.name)
-def test_shipped_robots_are_what_the_writer_writes(tmp_path, spec):
+def test_shipped_robots_equal_written_files(tmp_path, spec):
     """Inertia, joints, limits and collision shapes; only drawn shapes differ."""
     written = load_robot(write_robot(spec, tmp_path / f"{spec.name}.urdf")[0])
     assert robot_digest(written) == robot_digest(load_robot(spec.name))
@@ -512,7 +512,7 @@ def test_any_spec_survives_the_files(spec, tmp_path):
     assert cross_check(urdf, samples=3).max_position_deviation < 1e-10
 
 
-def test_offsets_are_read_as_they_were_written(tmp_path):
+def test_offsets_survive_writing_and_reading(tmp_path):
     spec = replace(HARVESTER, name="aside", yaw_axis=(0.3, -0.2), shoulder_offset=0.15, link_offsets=(0.06, -0.02, 0.0))
     robot = load_robot(write_robot(spec, tmp_path / "aside.urdf")[0])
     assert robot.yaw_axis.tolist() == [0.3, -0.2]

@@ -146,7 +146,7 @@ def test_pairs_are_those_that_sampling_finds(tmp_path):
     assert apart > 5
 
 
-def test_what_turns_turns_about_the_yaw_axis(tmp_path):
+def test_turret_turns_about_yaw_axis(tmp_path):
     """An axle that carries a shoulder beside the axis, as Pinocchio turns it."""
     robot = arm_of(tmp_path, 0.0, 90.0, yaw_axis=(0.7, -0.5), shoulder_offset=0.4)
     (axle,) = turning_shapes(robot)
@@ -232,7 +232,7 @@ def own_clearances(robot, field, truth, q, found):
     return expected, found[len(found) - len(pairs) :]
 
 
-def test_distances_from_what_carries_the_arm(tmp_path):
+def test_distances_from_bodies_that_carry_the_arm(tmp_path):
     rng = np.random.default_rng(12)
     near = 0
     for robot in random_arms(rng, tmp_path, 12):
@@ -249,7 +249,7 @@ def test_distances_from_what_carries_the_arm(tmp_path):
     assert near > 100
 
 
-def test_what_is_shown_clear_is_clear(wide):
+def test_certified_clearances_are_clear(wide):
     rng = np.random.default_rng(13)
     field, truth = ClearanceField.of(wide, []), Truth(wide)
     shown = refused = 0
@@ -312,7 +312,7 @@ def test_judge_against_coal(tmp_path):
         (True, {"yaw_axis": (1.0, -0.5), "shoulder_offset": 0.4, "link_offsets": (0.3, 0.0, -0.1, 0.0)}),
     ],
 )
-def test_bounds_hold_what_points_do(tmp_path, has_yaw, offsets):
+def test_bounds_contain_motion_of_points(tmp_path, has_yaw, offsets):
     """Ends of links' axes, and of those that a pair has beyond a joint, as seen from the other part of the pair."""
     lengths = (0.6, 0.5, 0.4, 0.3)
     robot = arm_of(tmp_path, -150, 150, lengths=lengths, widths=(0.04,) * 4, has_yaw=has_yaw, height=0.4, **offsets)
@@ -347,7 +347,7 @@ def clearance_is_shown(certificate):
     return not any("comes to" in violation for violation in certificate.violations)
 
 
-def test_certificates_are_as_dense_sampling_says(tmp_path):
+def test_certificates_agree_with_dense_sampling(tmp_path):
     rng = np.random.default_rng(41)
     shown = refused = 0
     for robot in random_arms(rng, tmp_path, 14):
@@ -376,7 +376,7 @@ def test_certificates_are_as_dense_sampling_says(tmp_path):
     assert refused > 15
 
 
-def test_a_fold_is_refused_and_named(wide):
+def test_fold_is_refused_and_named(wide):
     rest = (0.0,) * 4
     certificate = certify(wide, scene_of(rest), quintic(wide, rest, (0.0, 60.0, 150.0, 120.0)), check_ends=False)
     assert not certificate.verified
@@ -405,7 +405,7 @@ def test_a_fold_is_refused_and_named(wide):
         ((96.0, 125.0, 108.0, 137.0), (96.0, 12.0, 148.0, 61.0)),
     ],
 )
-def test_an_arm_goes_around_itself(tmp_path, start, goal, locked):
+def test_arm_goes_around_itself(tmp_path, start, goal, locked):
     robot = arm_of(tmp_path, [-60, -160, -160], [150, 160, 160], lengths=(0.7, 0.6, 0.5))
     truth = Truth(robot)
     assert min(truth.clearance(q) for q in np.linspace(np.radians(start), np.radians(goal), 100)) < -0.01
@@ -415,5 +415,5 @@ def test_an_arm_goes_around_itself(tmp_path, start, goal, locked):
 
 
 @pytest.mark.parametrize(("aside", "left"), [(0.0, 0.05), (0.03, 0.04), (-0.04, 0.03), (0.05, 0.0), (0.06, 0.0)])
-def test_links_beside_each_other_are_too_near_only_as_far_as_a_ball_reaches_into_the_plane(aside, left):
+def test_displaced_links_are_near_only_within_ball_radius(aside, left):
     assert radius_in_plane(0.05, aside) == pytest.approx(left, abs=1e-12)

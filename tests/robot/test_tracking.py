@@ -115,7 +115,7 @@ def beside_the_tip(robot: Robot, joint: int, gap: float) -> Sphere:
 
 @pytest.mark.parametrize("joint", range(4))
 @pytest.mark.parametrize("still", [0.0, 0.002])
-def test_sway_is_as_large_as_it_has_to_be(robot: Robot, scene: Scene, joint: int, still: float) -> None:
+def test_displacement_bound_is_tight(robot: Robot, scene: Scene, joint: int, still: float) -> None:
     """One joint leaves an obstacle at constant speed.
 
     Refused exactly where a tracking error would touch it.
@@ -160,7 +160,7 @@ def test_jerks_on_the_spot_count_by_their_speed(robot: Robot, scene: Scene) -> N
     assert closest < 2e-3
 
 
-def test_the_upper_arm_keeps_what_it_may_sway_itself(robot: Robot) -> None:
+def test_upper_arm_keeps_its_own_displacement(robot: Robot) -> None:
     """A ball 60 mm from the upper arm, far from the tool.
 
     The upper arm is displaced by at most 35 mm with 1 deg per joint, the tool by 105 mm.
@@ -211,7 +211,7 @@ def turning_above_a_bead(gap: float) -> Scene:
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.01])
-def test_refusal_of_a_motion_names_what_there_is_room_for(robot: Robot, delay_s: float) -> None:
+def test_refusal_names_largest_possible_tracking_error(robot: Robot, delay_s: float) -> None:
     """True: the motion found without an error is certified with that much, and not with a little more."""
     gap = 0.02
     scene, error = turning_above_a_bead(gap), math.radians(1.0)

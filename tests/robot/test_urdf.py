@@ -43,7 +43,7 @@ def said(path: Path) -> Urdf:
     return read_urdf(path, read_urdf_xml(path))
 
 
-def test_a_gripper_counts(tmp_path):
+def test_gripper_counts(tmp_path):
     load_robot(write(tmp_path, SHIPPED))
     robot = load_robot(write(tmp_path, GRIPPER))
     plain = load_robot()
@@ -75,7 +75,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("case", FAULTS)
-def test_what_readers_of_urdf_pass_over_is_refused(tmp_path, case):
+def test_content_that_urdf_readers_ignore_is_refused(tmp_path, case):
     old, new, message = FAULTS[case]
     assert old in TOOL
     text = GRIPPER.replace(TOOL, TOOL.replace(old, new, 1).replace("</collision>", f"</{new[1:-1]}>", 1)
@@ -143,13 +143,13 @@ def test_elements_of_others_may_stay(tmp_path):
     load_robot(write(tmp_path, text))
 
 
-def test_an_origin_of_a_link_is_refused_unless_it_is_the_links_own(tmp_path):
+def test_origin_of_a_link_is_refused_unless_it_is_the_links_own(tmp_path):
     text = GRIPPER.replace("<collision>", '<origin xyz="0 0 0.1"/><collision>', 1)
     with pytest.raises(RobotFileError, match="<origin> in <link> means nothing"):
         load_robot(write(tmp_path, text))
 
 
-def test_a_joint_may_be_called_as_a_link(tmp_path):
+def test_joint_may_be_called_as_a_link(tmp_path):
     """As of the SO-100, whose jaw is moved by the joint `gripper` on the link `gripper`."""
     path = write(tmp_path, SHIPPED.replace('"wrist"', '"tool0"'))
     limits = path.with_suffix(".limits.yaml")
@@ -270,7 +270,7 @@ def test_differences_are_found(tmp_path):
     expect(f"Pinocchio reads {last + 2} collision shapes, the file has {last + 1}", collision_model=more)
 
 
-def test_a_second_reader_has_the_same(tmp_path):
+def test_second_reader_has_the_same(tmp_path):
     """yourdfpy shares no line with our reading, nor with Pinocchio's."""
     yourdfpy = pytest.importorskip("yourdfpy")
     text = GRIPPER.replace('<origin xyz="0.8 0 0"/>', '<origin xyz="0.8 0 0.1" rpy="0.3 -0.2 1.1"/>', 1)

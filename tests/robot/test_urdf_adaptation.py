@@ -115,7 +115,7 @@ def assert_is_part_of(robot: Robot, text: str) -> None:
 # Shipped robots
 
 
-def test_what_ships_is_not_changed(plain):
+def test_shipped_robots_are_not_changed(plain):
     """Read by Pinocchio from the file itself; digests as before there was this pass."""
     assert plain.urdf_text is None
     assert not plain.held
@@ -145,7 +145,7 @@ def test_fingers_are_held_with_their_mass_and_shapes(load, plain):
     assert_is_part_of(wide, text)
 
 
-def test_a_turned_side_branch(load, plain):
+def test_turned_side_branch(load, plain):
     text = edited(more=CAMERA)
     for value in (0.0, 0.7, -1.9):
         robot = load(text, hold={"pan": value})
@@ -156,7 +156,7 @@ def test_a_turned_side_branch(load, plain):
 
 
 @pytest.mark.parametrize("options", [{"hold": {"wrist": 0.5}}, {"joints": ["base_yaw", "shoulder", "elbow"]}])
-def test_a_joint_of_the_chain_is_held(load, options):
+def test_joint_of_the_chain_is_held(load, options):
     robot = load(SHIPPED, **options)
     bend = options.get("hold", {}).get("wrist", 0.0)
     assert robot.joint_names == ("base_yaw", "shoulder", "elbow")
@@ -165,7 +165,7 @@ def test_a_joint_of_the_chain_is_held(load, options):
     assert_is_part_of(robot, SHIPPED)
 
 
-def test_what_hangs_beyond_and_beside_the_tool_is_held(load):
+def test_joints_beyond_the_tool_are_held(load):
     """The tool frame is on the forearm, or the shoulder is no part of the chain: refused before."""
     inner = load(
         edited(('<parent link="hand"/>\n    <child link="tool0"/>', '<parent link="forearm"/><child link="tool0"/>'))
@@ -210,7 +210,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_refused_with_what_would_make_it_work(load, case):
+def test_refusal_names_the_remedy(load, case):
     text, options, kind, message = REFUSED[case]
     with pytest.raises(kind) as caught:
         assert load(text, **options).family
@@ -229,7 +229,7 @@ def test_advice_works(load):
     np.testing.assert_allclose(world.homogeneous, base.inverse().homogeneous, atol=1e-14)
 
 
-def test_a_hanging_arm_is_in_the_frame_of_what_carries_it(load, plain):
+def test_hanging_arm_is_in_frame_of_its_mount(load, plain):
     hanging = edited(more=WORLD.replace("0 0 0.7", f"{math.pi!r} 0 0"))
     with pytest.warns(RobotFileWarning, match=r"tilts 'base_link' by 180 deg; gravity pulls along -z of 'world', and"):
         robot = load(hanging)
@@ -250,7 +250,7 @@ def scene_of(start: tuple[float, ...], goal: tuple[float, ...]) -> Scene:
                  obstacles=(Sphere(name="ball", center=(-1.5, 0.0, 1.2), radius=0.3),))  # fmt: skip
 
 
-def test_a_continuous_joint_has_a_turn_to_either_side(load, plain):
+def test_continuous_joint_has_a_turn_to_either_side(load, plain):
     robot = load(edited(CONTINUOUS))
     assert robot.continuous.tolist() == [True, False, False, False]
     assert (robot.lower[0], robot.upper[0]) == (-CONTINUOUS_RANGE, CONTINUOUS_RANGE)
@@ -260,7 +260,7 @@ def test_a_continuous_joint_has_a_turn_to_either_side(load, plain):
 
 
 @pytest.mark.parametrize(("lower", "upper"), [("-1e8", "1e8"), ("-1e16", "1.7976931348623157e308")])
-def test_a_range_that_no_joint_has_is_that_of_a_continuous_joint(load, plain, lower, upper):
+def test_range_that_no_joint_has_is_that_of_a_continuous_joint(load, plain, lower, upper):
     one, other = 'lower="-3.141592653589793" upper="3.141592653589793"', f'lower="{lower}" upper="{upper}"'
     robot = load(SHIPPED.replace(one, other))
     like = load(edited(CONTINUOUS))
@@ -277,14 +277,14 @@ def test_a_range_that_no_joint_has_is_that_of_a_continuous_joint(load, plain, lo
     [(0.0, 350.0, -10.0), (0.0, 170.0, 170.0), (170.0, -170.0, 190.0), (300.0, 30.0, 30.0), (-350.0, 350.0, -10.0),
      (0.0, 400.0, 40.0), (340.0, 10.0, 10.0), (0.0, 360.0, 0.0), (-200.0, 360.0, -360.0)],
 )  # fmt: skip
-def test_a_goal_is_moved_by_whole_turns(load, start, goal, reached):
+def test_goal_is_moved_by_whole_turns(load, start, goal, reached):
     robot = load(edited(CONTINUOUS))
     rest = (0.2, 0.3, 0.4)
     found = robot.turned_near((math.radians(goal), *rest), (math.radians(start), *rest))
     np.testing.assert_allclose(found, (math.radians(reached), *rest), atol=1e-12)
 
 
-def test_a_goal_is_reached_the_short_way(load):
+def test_goal_is_reached_the_short_way(load):
     robot = load(edited(CONTINUOUS))
     rest = (0.3, 0.4, 0.5)
     scene = scene_of((0.0, *rest), (math.radians(350.0), 0.5, 0.2, 0.4))
@@ -305,7 +305,7 @@ def test_a_goal_is_reached_the_short_way(load):
 # The parent of base_link
 
 
-def test_a_world_below_the_base_does_not_count(load, plain):
+def test_world_below_the_base_does_not_count(load, plain):
     robot = load(edited(more=WORLD))
     assert robot_digest(robot) == robot_digest(plain)
     placed = robot.model.frames[robot.model.getFrameId("base_link")].placement
@@ -316,7 +316,7 @@ def test_a_world_below_the_base_does_not_count(load, plain):
     np.testing.assert_array_equal(there.trajectory.position, here.trajectory.position)
 
 
-def test_the_shapes_of_what_carries_the_base_stay(load):
+def test_shapes_of_mount_are_kept(load):
     cart = f'<link name="cart">{BODY.format(mass=30)}</link><link name="world"/>'
     cart += JOINT.format("top", "fixed", "cart", "base_link", '<origin xyz="0.2 0.1 0.4" rpy="0 0 0.5"/>')
     cart += JOINT.format("wheels", "fixed", "world", "cart", '<origin xyz="5 5 0" rpy="0 0 1"/>')
@@ -357,7 +357,7 @@ MESH = re.sub(
         ("elsewhere/arm_description/meshes/hand.stl", {"package_dirs": ["elsewhere"]}),
     ],
 )
-def test_a_mesh_of_a_package_is_a_capsule_about_its_link(tmp_path, stl, options):
+def test_mesh_of_a_package_is_a_capsule_about_its_link(tmp_path, stl, options):
     folder = tmp_path / "a" / "b" / "c" / "arm" / "urdf"
     write_stl(folder / stl)
     (folder / "robot.urdf").write_text(MESH)
@@ -369,7 +369,7 @@ def test_a_mesh_of_a_package_is_a_capsule_about_its_link(tmp_path, stl, options)
     assert load_robot(folder / "robot.urdf").arm.half_widths[2] == robot.arm.half_widths[2]
 
 
-def test_a_mesh_that_is_nowhere(tmp_path):
+def test_mesh_that_is_nowhere(tmp_path):
     write_stl(tmp_path / "arm_description" / "meshes" / "hand.stl")
     folder = tmp_path / "1" / "2" / "3" / "4" / "5"
     folder.mkdir(parents=True)
@@ -385,7 +385,7 @@ def test_a_mesh_that_is_nowhere(tmp_path):
 # Texts, xacro, limits
 
 
-def test_a_text_is_a_urdf(plain):
+def test_text_is_a_urdf(plain):
     for text in (SHIPPED, "\n  " + SHIPPED, SHIPPED[SHIPPED.index("<robot") :]):
         robot = load_robot(text, limits=LIMITS)
         assert robot_digest(robot) == robot_digest(plain)

@@ -145,7 +145,7 @@ def test_saved_and_read_again(tmp_path):
     assert there.obstacles[0].surface[0].tolist() == scene.obstacles[0].surface[0].tolist()
 
 
-def test_arrays_are_written_beside_the_scene(tmp_path):
+def test_arrays_are_written_next_to_the_scene(tmp_path):
     scene = a_scene(Mesh.of("a/b", *torus(n=8)), Mesh.of("a-b", *crate()))
     with pytest.raises(SceneError, match="has no file; save_scene writes one") as caught:
         dump_scene(scene)
@@ -203,7 +203,7 @@ def test_sheets_among_solids_are_held(seed):
 
 
 @pytest.mark.parametrize("thickness", [0.0, 5e-8, 9e-8, 2e-7, 1e-6])
-def test_a_motion_through_a_sheet_is_not_certified(robot, thickness):
+def test_motion_through_a_sheet_is_not_certified(robot, thickness):
     """A trunk out of reach, and a panel across the arm, which was dropped once: the motion was verified."""
     trunk, its_faces = blocks(np.ones((1, 1, 1), dtype=bool), *(np.array([0.0, size]) for size in (0.1, 0.1, 1.0)))
     panel, faces = blocks(np.ones((1, 1, 1), dtype=bool), *(np.array([0.0, size]) for size in (1.0, 0.6, 0.6)))

@@ -76,7 +76,7 @@ def test_one_way_to_give_a_configuration(given):
         Goal(**given)
 
 
-def test_a_scene_from_another_stop_has_everything_where_it_is_seen_from_there():
+def test_scene_from_another_stop_has_everything_where_it_is_seen_from_there():
     box = Box(name="box", center=(1.0, 0.2, 0.5), size=(0.1, 0.2, 0.3), rpy_deg=(10.0, 20.0, 30.0))
     rod = Capsule.model_validate({"name": "rod", "from": (1, 0, 0), "to": (1, 0, 2), "radius": 0.01, "yields": 0.02})
     fruit = Fruit(name="fruit", center=(0.9, 0.1, 1.4), radius=0.04)
@@ -98,7 +98,7 @@ def test_a_scene_from_another_stop_has_everything_where_it_is_seen_from_there():
             scene.shifted(wrong)
 
 
-def test_what_is_out_of_reach_is_left_out_but_for_the_goal_and_what_moves():
+def test_unreachable_obstacles_are_left_out_except_goal_and_moving_ones():
     rods = [
         Capsule.model_validate({"name": f"rod {n}", "from": (n, 0, 0), "to": (n, 0, 1), "radius": 0.01}) for n in (1, 4)
     ]

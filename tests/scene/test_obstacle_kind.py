@@ -215,7 +215,7 @@ def read(content: bytes, folder, entry="radius: 0.02", name="cloud.ply") -> Poin
     return cloud
 
 
-def test_a_comment_before_the_format_of_a_ply_file_is_refused(tmp_path):
+def test_comment_before_the_format_of_a_ply_file_is_refused(tmp_path):
     """trimesh reads the text after such a header as binary numbers, all of them tiny."""
     head = b"ply\n%sformat ascii 1.0\n%selement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
     comment, rest = b"comment made by a scanner\n", b"end_header\n0.5 0 0.5\n"
@@ -308,7 +308,7 @@ def test_other_formats_and_missing_files(tmp_path):
         parse_scene(HEAD + "- {name: a, kind: points, file: gone.ply, radius: 1}\n", path=tmp_path / "scene.yaml")
 
 
-def test_a_large_cloud_is_no_burden(tmp_path):
+def test_large_cloud_is_fast(tmp_path):
     """A hundred thousand points in a file: none in the scene's text, one tree."""
     points = np.random.default_rng(0).uniform(0, 1, (100_000, 3))
     cloud = PointCloud.of("canopy", points, 0.01)
@@ -331,7 +331,7 @@ def test_rows_of_a_file_that_are_not_finite_are_left_out_and_counted(encoding, t
     assert read(ply(POINTS, encoding), tmp_path).left_out == 0
 
 
-def test_points_that_were_thinned_before_stay_as_they_are():
+def test_thinned_points_stay_unchanged():
     close = np.random.default_rng(0).uniform(0.0, 1e-3, (50, 3))
     cloud = PointCloud.thinned("c", close, 0.01)
     (solid,) = cloud.solids

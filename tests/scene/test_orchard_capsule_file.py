@@ -79,7 +79,7 @@ def test_fruit_that_hung_on_a_tree_is_read_with_it(write):
         import_tree(write(TREE + "fruit,0,0,1,0,0,1.1,0.03\n"))
 
 
-def test_the_trees_own_fruit_is_taken_the_nearest_first_and_gives_way_where_that_is_asked_for(write):
+def test_nearest_fruit_of_tree_is_used_first_and_compliant_on_request(write):
     path = write(TREE + "fruit,0.2,0,1.2,0.2,0,1.2,0.035\nfruit,-0.3,0.1,1.4,-0.3,0.1,1.4,0.03\n")
     options = MeasuredOptions(wood_yields=0.02, yields_below=0.02, fruit_yields=0.01)
     scene = measured_orchard([path], options)

@@ -103,7 +103,7 @@ def test_bad_input(
     assert not out.exists()
 
 
-def test_what_is_read_is_not_replaced(
+def test_input_file_is_not_replaced(
     script: ModuleType, tree: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert script.main(["--import", str(tree), "--out", str(tree)]) == 2

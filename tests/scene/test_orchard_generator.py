@@ -155,14 +155,14 @@ def test_start_is_tucked_away_from_trees_and_vehicle(grown, robot):
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_scene_is_what_its_options_give(name):
+def test_shipped_scene_equals_generated_scene(name):
     path = scenes_dir() / f"{name}.yaml"
     assert load_scene(path) == generate(SHIPPED[name])
     assert path.stat().st_size < 100_000
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_a_hand_can_be_at_the_goal(name):
+def test_hand_can_be_at_the_goal(name):
     scene = load_scene(scenes_dir() / f"{name}.yaml")
     robot = load_robot(scene.robot)
     (goal,) = [fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit]
@@ -278,7 +278,7 @@ def test_only_free_ends_of_branches_are_tips():
     assert caught.value.option == "count"
 
 
-def test_zone_is_kept():
+def test_fruit_zone_holds():
     zone = FruitZone(0.7, 1.3)
     assert all(zone.holds(*fruit.center) for fruit in fruit_at_tips(TREE, 4, zone=zone))
     with pytest.raises(OptionError, match="at most 0"):

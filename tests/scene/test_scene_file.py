@@ -272,7 +272,7 @@ def test_bad_content(case):
         (f"{HEAD}x: \x01\n", None, "cannot stand in YAML"),
     ],
 )
-def test_text_that_is_no_scene(text, line, message):
+def test_text_that_is_not_a_scene(text, line, message):
     with pytest.raises(SceneError) as caught:
         parse_scene(text, path="my.yaml")
     assert message in caught.value.reason
@@ -314,7 +314,7 @@ obstacles:
     assert (low.name, high.name, high.end[2], low.end[2]) == ("low", "high", 1.5, 1.0)
 
 
-def test_aliases_count_what_they_repeat(write) -> None:
+def test_aliases_count_their_repetitions(write) -> None:
     """A few lines that represent 9^7 values."""
     lines = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
     lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 8)]
@@ -326,7 +326,7 @@ def ball(index: int) -> Sphere:
     return Sphere(name=f"b{index}", center=(2.0, 0.0, 1.0), radius=0.01)
 
 
-def test_a_scene_has_a_largest_number_of_obstacles():
+def test_scene_has_a_largest_number_of_obstacles():
     balls = tuple(ball(i) for i in range(MOST_OBSTACLES + 1))
     start, goal = Start(joints_deg=(0.0,) * 4), Goal(joints_deg=(0.0,) * 4)
     Scene(name="a", start=start, goal=goal, obstacles=balls[1:])
@@ -337,7 +337,7 @@ def test_a_scene_has_a_largest_number_of_obstacles():
         Scene(name="a", start=start, goal=goal, fruits=fruits)
 
 
-def test_a_yaml_file_has_a_largest_number_of_values(monkeypatch):
+def test_yaml_file_has_a_largest_number_of_values(monkeypatch):
     monkeypatch.setattr(yaml_text, "MOST_VALUES", 21)
     assert parse_scene(HEAD).name == "a scene"
     with pytest.raises(SceneError, match="line 5: malformed YAML: more than 21 values"):

@@ -62,7 +62,7 @@ def apart(solid: Solid, points: np.ndarray) -> np.ndarray:
     return distances(solid, points)
 
 
-def test_a_scene_is_read_back_as_it_was(tmp_path):
+def test_scene_survives_writing_and_reading(tmp_path):
     scene = all_kinds()
     read = load_scene(save_scene(scene, tmp_path / "scene.yaml"))
     for before, after in zip(scene.obstacles, read.obstacles, strict=True):
@@ -72,7 +72,7 @@ def test_a_scene_is_read_back_as_it_was(tmp_path):
     assert parse_scene(dump_scene(read), path=tmp_path / "scene.yaml") == read
 
 
-def test_a_digest_knows_how_things_move():
+def test_digest_knows_how_things_move():
     moving = a_scene(Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1, track=CREEP))
     still = a_scene(Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1))
     swaying = a_scene(Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1, sway=SWAY))
@@ -82,7 +82,7 @@ def test_a_digest_knows_how_things_move():
     assert scene_digest(still) == "sha256:58b921970ba4bd59e3437507ca88aeebb03deabae34644bb9acf11402c8ab91d"
 
 
-def test_a_moving_scene_is_never_taken_for_a_still_one():
+def test_moving_scene_is_never_taken_for_a_still_one():
     for scene in (
         a_scene(Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1, track=CREEP)),
         a_scene(base_track=CREEP),
@@ -113,7 +113,7 @@ def test_a_moving_scene_is_never_taken_for_a_still_one():
         ("fast", "", 10, "mapping"),
     ],
 )
-def test_a_wrong_track_is_named_with_its_line(track, where, line, words):
+def test_wrong_track_is_named_with_its_line(track, where, line, words):
     with pytest.raises(SceneError) as caught:
         parse_scene(f"{BALL}    track: {track}\n")
     assert caught.value.where == "obstacles[0].track" + (f".{where}" if where else "")
@@ -138,7 +138,7 @@ def test_poses_are_those_of_linear_shifts_and_slerp():
         scene.poses_at([math.nan])
 
 
-def test_a_base_that_moves_is_a_scene_that_moves_the_other_way():
+def test_base_that_moves_is_a_scene_that_moves_the_other_way():
     """Poses as seen from the base, against the product of homogeneous matrices."""
     scene = all_kinds(sway=None).model_copy(update={"base_track": TURNING})
     about = np.array(TURNING.about)
@@ -158,7 +158,7 @@ def test_a_base_that_moves_is_a_scene_that_moves_the_other_way():
     assert about.shape == (3,)
 
 
-def test_the_scene_at_a_time_has_its_solids_where_they_are_then():
+def test_scene_at_a_time_has_its_solids_where_they_are_then():
     scene = all_kinds()
     rng = np.random.default_rng(3)
     points = rng.uniform([0.4, -0.8, 0.3], [1.6, 0.8, 1.8], (60, 3))
@@ -174,7 +174,7 @@ def test_the_scene_at_a_time_has_its_solids_where_they_are_then():
 
 
 @pytest.mark.parametrize("index", range(5))
-def test_what_sways_sweeps_no_more_than_it_says_and_all_of_it(index):
+def test_sway_sweeps_exactly_its_volume(index):
     scene, still = all_kinds(track=None), all_kinds(track=None, sway=None)
     rng = np.random.default_rng(index)
     swept, before = scene.obstacles[index].solids, still.obstacles[index].solids
@@ -248,7 +248,7 @@ def test_a_scene_by_another_clock_is_where_it_was(zero, clock):
     assert [solid.name for solid in later.listed_solids] == [solid.name for solid in scene.listed_solids]
 
 
-def test_times_that_are_no_longer_told_apart_are_refused():
+def test_times_equal_after_rounding_are_refused():
     close = Track(times_s=(0.0, 1e-12), shifts_m=((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
     assert close.since(1e-4).times_s[0] == -1e-4
     with pytest.raises(OptionError, match="apart as numbers"):

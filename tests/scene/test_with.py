@@ -123,7 +123,7 @@ def spoilt(scene):
     yield track, "start.joints_rad"
 
 
-def test_entrances_refuse_what_was_changed_past_the_checks(scene):
+def test_public_functions_refuse_unvalidated_changes(scene):
     robot = hplan.load_robot()
     trajectory = hplan.plan(robot, scene).trajectory
     for bad, where in spoilt(scene):
@@ -147,7 +147,7 @@ def test_scenes_that_hplan_makes_pass(name):
         assert checked_scene(other) is other
 
 
-def test_a_misspelt_yield_link_is_refused_at_each_entrance():
+def test_misspelt_yield_link_is_refused_at_each_entrance():
     robot, scene = (
         hplan.load_robot("orchard_harvester"),
         hplan.load_scene("orchard-arm-row").with_(yield_links=("hnad",)),
@@ -163,7 +163,7 @@ def test_a_misspelt_yield_link_is_refused_at_each_entrance():
             call()
 
 
-def test_check_looks_at_joint_limits(scene):
+def test_check_covers_joint_limits(scene):
     robot = hplan.load_robot()
     degrees = np.array([0.0, 45.0, 60.0, 70.0])
     found = hplan.check(robot, scene.with_obstacles(()), degrees)

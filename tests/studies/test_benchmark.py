@@ -54,7 +54,7 @@ def rows_of(study: str, out: Path, *options: str) -> list[dict]:
         ("camera", 0),
     ],
 )
-def test_a_study_runs(study: str, first: int, tmp_path: Path) -> None:
+def test_study_runs(study: str, first: int, tmp_path: Path) -> None:
     rows = rows_of(study, tmp_path, "--first", str(first), "--effort", "quick")
     assert rows
     assert not any(row["fault"] for row in rows if "fault" in row)
@@ -62,7 +62,7 @@ def test_a_study_runs(study: str, first: int, tmp_path: Path) -> None:
     assert f"### {study}" in (tmp_path / "benchmark.md").read_text()
 
 
-def test_the_reference_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reference_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reference, "REPETITIONS", 1)
     rows = {row["name"]: row for row in rows_of("reference", tmp_path)}
     assert rows["grid path, toppra"]["ratio"] > 2.0
@@ -108,7 +108,7 @@ def test_motionbenchmaker(tmp_path: Path) -> None:
     assert all(row["peer_solved"] and row["to_peer"] < 1.3 for row in rows if peer)
 
 
-def test_faults_are_told_by_the_exit_status(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_exit_status_reports_faults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     study = Study("toy", "", lambda config, n: {"name": f"{n}", "ms": np.float64(n), "fault": n == 2}, ("ms",))
     monkeypatch.setattr(script, "import_module", lambda _: SimpleNamespace(CLUTTER=study))
     assert script.main(["clutter", "--count", "2", "--out", str(tmp_path / "a")]) == 0

@@ -96,7 +96,7 @@ def test_other_arms(variant: str, tmp_path: Path) -> None:
         assert row["colliding"] > 0
 
 
-def test_a_blind_cspace_is_caught(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blind_cspace_is_caught(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     def blind(_arm: object, _sections: object, grid: Grid) -> Occupancy:
         return Occupancy.from_mask(grid, np.zeros(grid.shape, dtype=bool))
 

@@ -91,7 +91,7 @@ def test_contact_with_an_obstacle_is_found(harvester: DrawnArm, item: dict[str, 
 
 
 @pytest.mark.parametrize("of_base", [False, True])
-def test_what_moves_is_where_its_track_has_it(harvester: DrawnArm, of_base: bool) -> None:
+def test_tracked_obstacle_is_where_its_track_puts_it(harvester: DrawnArm, of_base: bool) -> None:
     """It is at the tool from 2.5 s to 3 s on the clock of the tracks, and 2 m away until 2 s."""
     q = (0.0, 0.2, 0.3, 0.4)
     turn = {"rpy_deg": ((0.0, 0.0, 0.0), (0.0, 0.0, 40.0), (0.0, 0.0, 40.0)), "about": (0.0, 0.0, 0.0)}
@@ -123,7 +123,7 @@ def test_fruit_may_be_touched_in_its_window_by_the_last_link_alone(harvester: Dr
     assert contacts(harvester.arm, motion, on_link, windows=[Window("o", 0.0, 1.0)])
 
 
-def test_what_hplan_is_not_told_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_obstacle_hidden_from_hplan_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """The planner gets all obstacles at a distance of 5 m."""
     whole = World.scene
 
@@ -136,7 +136,7 @@ def test_what_hplan_is_not_told_is_found(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.parametrize("verified", [None, True, False])
-def test_a_wrong_certificate_is_counted(monkeypatch: pytest.MonkeyPatch, verified: bool | None) -> None:
+def test_wrong_certificate_is_counted(monkeypatch: pytest.MonkeyPatch, verified: bool | None) -> None:
     if verified is not None:
         monkeypatch.setattr(
             grazing, "certify", lambda *_, **__: SimpleNamespace(verified=verified, min_clearance_m=0.0)
@@ -149,7 +149,7 @@ def test_a_wrong_certificate_is_counted(monkeypatch: pytest.MonkeyPatch, verifie
 
 
 @pytest.mark.parametrize("times", [1.0, 2.0])
-def test_what_is_pushed_too_deep_is_found(monkeypatch: pytest.MonkeyPatch, times: float) -> None:
+def test_excessive_deflection_is_found(monkeypatch: pytest.MonkeyPatch, times: float) -> None:
     """The planner gets twice the compliance; case 5 deflects a fruit's support."""
 
     def planned(robot: Any, scene: Any, options: Any) -> Any:

@@ -12,7 +12,7 @@ from script_loader import load_script
 from studies.paper import measure
 from studies.paper.measure import PAPER_DENSE, PAPER_TWO_LEVEL
 
-from hplan.apps.view import figure_style
+from hplan.apps.view import figures
 
 script = load_script("reproduce_paper")
 
@@ -25,7 +25,7 @@ def measured() -> Any:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch, measured: Any) -> None:
     monkeypatch.setattr(measure, "measure", lambda *_, **__: measured)
-    monkeypatch.setattr(figure_style, "png_bytes", functools.partial(figure_style.png_bytes, dpi=20))
+    monkeypatch.setattr(figures, "png_bytes", functools.partial(figures.png_bytes, dpi=20))
 
 
 def test_searches_give_the_papers_cost(measured: Any) -> None:

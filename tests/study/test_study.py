@@ -64,7 +64,7 @@ def test_designs_of_a_file(file: Path) -> None:
     assert math.isclose(far.center[0] - near.center[0], 0.3, abs_tol=1e-9)
 
 
-def test_a_digest_is_of_what_counts(file: Path) -> None:
+def test_digest_covers_relevant_inputs(file: Path) -> None:
     design = load_study(file).designs()[0]
     before = design.digest
     others = [replace(design, height=0.1), replace(design, yields=Yields(wood=0.01)), replace(design, measure="tour")]
@@ -96,7 +96,7 @@ def test_rows_stay_and_a_study_goes_on(file: Path, monkeypatch: pytest.MonkeyPat
     assert text.count("\n") == 13
 
 
-def test_a_row_of_a_real_tree_is_the_same_on_other_workers(file: Path) -> None:
+def test_row_of_a_real_tree_is_the_same_on_other_workers(file: Path) -> None:
     study = load_study(file).model_copy(update={"distances": (1.2,), "turns_deg": (0.0,)})
     here = run_study(study, workers=1)
     assert as_made_by_anyone(run_study(study, workers=2)) == as_made_by_anyone(here)
@@ -113,7 +113,7 @@ def killing(design: Design) -> StudyRow:
     return invented(design)
 
 
-def test_a_killed_worker_loses_nothing(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_killed_worker_loses_nothing(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(study_run, "measure", killing)
     result = run_study(file, file.parent / "rows.csv", workers=2)
     assert (file.parent / "killed").exists()
@@ -133,7 +133,7 @@ def test_on_dask(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert list(result.rows) == [invented(design) for design in load_study(file).designs()]
 
 
-def test_a_tour_has_seconds_for_each_fruit(file: Path) -> None:
+def test_tour_has_seconds_for_each_fruit(file: Path) -> None:
     design = replace(load_study(file).designs()[0], measure="tour")
     row = measure(design)
     assert row.picked >= 1
@@ -143,7 +143,7 @@ def test_a_tour_has_seconds_for_each_fruit(file: Path) -> None:
     assert choice.seconds_per_fruit == row.motion_s / row.picked
 
 
-def test_a_row_has_stops_and_the_time_of_driving(file: Path) -> None:
+def test_row_has_stops_and_the_time_of_driving(file: Path) -> None:
     row = measure(replace(load_study(file).designs()[0], measure="row"))
     assert 1 <= row.stops <= row.picked <= 3
     assert row.motion_s is not None
@@ -151,7 +151,7 @@ def test_a_row_has_stops_and_the_time_of_driving(file: Path) -> None:
     assert row.total_s > row.motion_s + row.picked
 
 
-def test_the_front_is_what_no_other_beats(file: Path) -> None:
+def test_front_contains_undominated_designs(file: Path) -> None:
     rows = [replace(invented(design), cpu_s=1.0) for design in load_study(file).designs()[::4]]
     numbers = [(3, 2.5), (2, 2.4), (2, 2.6)]
     rows = [replace(row, picked=count, reach_m=reach) for row, (count, reach) in zip(rows, numbers, strict=True)]
@@ -183,7 +183,7 @@ def test_two_studies_do_not_write_to_one_file(file: Path, monkeypatch: pytest.Mo
         ("{name: tall", "{robot: ur5, name: tall", 6, "varied"),
     ],
 )
-def test_a_fault_of_a_file_names_its_line(file: Path, old: str, new: str, line: int, said: str) -> None:
+def test_fault_of_a_file_names_its_line(file: Path, old: str, new: str, line: int, said: str) -> None:
     file.write_text(FILE.replace(old, new, 1))
     with pytest.raises(StudyError, match=said) as caught:
         load_study(file)
@@ -206,7 +206,7 @@ def test_wrong_studies(make: Callable[[], Any]) -> None:
         make()
 
 
-def test_a_file_of_something_else_is_left_alone(file: Path) -> None:
+def test_file_of_something_else_is_left_alone(file: Path) -> None:
     with pytest.raises(HplanError, match="no rows of a study"):
         run_study(file, file.parent / "tree.csv", workers=1)
     assert (file.parent / "tree.csv").read_text() == TREE

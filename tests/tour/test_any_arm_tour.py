@@ -75,7 +75,7 @@ def test_fruit_is_carried_to_a_pose_to_joints_or_to_a_place(picker: Robot, drop:
             assert q == pytest.approx(START, abs=1e-9)
 
 
-def test_what_is_carried_is_a_ball_at_the_tool_that_keeps_clear(picker: Robot) -> None:
+def test_carried_fruit_is_a_ball_at_the_tool_that_keeps_clear(picker: Robot) -> None:
     loaded = carrying(picker, 0.05)
     ball = collision_bodies(loaded)[-1]
     assert loaded.collision_model.geometryObjects[-1].name == CARRIED
@@ -94,7 +94,7 @@ def test_what_is_carried_is_a_ball_at_the_tool_that_keeps_clear(picker: Robot) -
         plan_tour(picker, scene, QUICK, tour=TourOptions(drop_off=BIN))
 
 
-def test_the_command_plans_a_tour_with_a_pose_to_drop_at(
+def test_command_plans_a_tour_with_a_pose_to_drop_at(
     picker: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene = save_scene(SCENE.model_copy(update={"fruits": FRUITS[:2]}), tmp_path / "scene.yaml")

@@ -76,7 +76,7 @@ def test_picked_fruit_goes_with_the_tool_of_its_arm_on_the_page_and_in_messages(
     assert write_mcap(result, tmp_path / "two.mcap", rate_hz=5.0).stat().st_size > 10_000
 
 
-def test_two_arms_pick_at_once(orchard, result):
+def test_two_arms_pick_simultaneously(orchard, result):
     cell, scene = orchard
     assert result.verified
     assert set(result.picked) | set(result.unreached) == {fruit.name for fruit in scene.fruits}
@@ -157,7 +157,7 @@ def test_fruit_goes_to_the_drop_offs_and_is_in_nobodys_way(orchard):
     assert_arms_apart(cell, result.trajectory, balls)
 
 
-def test_what_an_arm_carries_would_touch_another(robot):
+def test_carried_fruit_keeps_clear_of_other_arm(robot):
     """Hands side by side, with less than a fruit between them; nothing is carried without a drop-off."""
     start = Start(joints_deg=(0.0, 60.0, 60.0, 60.0))
     apple = Fruit(name="apple", center=(9.0, 0.0, 1.0), radius=0.29)
@@ -196,7 +196,7 @@ fruits:
 """
 
 
-def test_the_command(write, tmp_path):
+def test_command(write, tmp_path):
     assert main(["tour", str(write("cell.yaml", CELL)), "--out", str(tmp_path / "out"), "--quiet"]) == 0
     report = json.loads((tmp_path / "out" / "tour.json").read_text())
     assert report["picked"] == 2

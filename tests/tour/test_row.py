@@ -87,7 +87,7 @@ def test_covers_are_those_of_trying_all(seed: int) -> None:
 
 
 @pytest.mark.parametrize("place", [Place(1, 0.3, 0.0), Place(2, -0.4, 0.2)])
-def test_what_is_seen_from_a_place(scene: Scene, place: Place) -> None:
+def test_fruit_seen_from_a_position(scene: Scene, place: Place) -> None:
     """A base at the place, facing the row, has the fruits ahead at their distance."""
     seen = place.seen(scene, COARSE)
     base = np.array([2.0 * COARSE.distance if place.side == 2 else 0.0, place.along, place.height])
@@ -100,7 +100,7 @@ def test_what_is_seen_from_a_place(scene: Scene, place: Place) -> None:
         assert math.hypot(*after.center) == pytest.approx(np.linalg.norm(away))
 
 
-def test_what_the_vehicle_carries_stays_with_the_base(scene: Scene) -> None:
+def test_obstacles_on_vehicle_move_with_base(scene: Scene) -> None:
     bin_ = Box(name="bin", center=(-0.9, 0.0, 0.2), size=(0.4, 0.4, 0.4))
     seen = Place(2, 1.0, 0.0).seen(scene.with_obstacles([*scene.obstacles, bin_]), replace(COARSE, carried=("bin",)))
     assert [one for one in seen.obstacles if one.name == "bin"] == [bin_]
@@ -122,7 +122,7 @@ def test_fruit_behind_others_can_be_picked_once_they_are(arm: Robot, scene: Scen
 # Rows
 
 
-def test_a_row_is_picked_from_as_few_stops_as_can_be(row: RowResult) -> None:
+def test_row_is_picked_from_as_few_stops_as_can_be(row: RowResult) -> None:
     hanging = [fruit.name for fruit in row.scene.fruits]
     assert 0 < len(row.picked) == len(set(row.picked)) <= len(hanging)
     assert set(row.picked) <= set(row.reachable) == set().union(*row.candidates.values())
@@ -133,7 +133,7 @@ def test_a_row_is_picked_from_as_few_stops_as_can_be(row: RowResult) -> None:
     assert sum(stop.way == 1 for stop in row.stops) <= row.report["planner"]["cover_stops"]
 
 
-def test_each_tour_is_certified_among_what_hangs_then(arm: Robot, row: RowResult) -> None:
+def test_each_tour_is_certified_among_remaining_fruit(arm: Robot, row: RowResult) -> None:
     gone: set[str] = set()
     for stop in row.stops:
         assert stop.tour.certificate.verified
@@ -147,7 +147,7 @@ def test_each_tour_is_certified_among_what_hangs_then(arm: Robot, row: RowResult
         gone |= set(stop.tour.order)
 
 
-def test_the_report_adds_up(row: RowResult) -> None:
+def test_report_adds_up(row: RowResult) -> None:
     report = row.report
     assert json.loads(json.dumps(report))["picked"] == len(row.picked)
     assert report["share_picked"] == len(row.picked) / len(row.scene.fruits)
@@ -166,7 +166,7 @@ def test_of_a_share_no_pass_takes_more_than_it_needs(arm: Robot, scene: Scene, r
     assert need <= len(some.picked) < len(row.picked)
 
 
-def test_stops_where_the_base_cannot_stand_are_none(arm: Robot, scene: Scene) -> None:
+def test_stops_with_base_in_contact_are_excluded(arm: Robot, scene: Scene) -> None:
     post = Box(name="post", center=(0.0, 0.8, 0.2), size=(0.1, 0.1, 0.4))
     with_post = scene.with_obstacles([*scene.obstacles, post])
     found = plan_row(arm, with_post, QUICK, row=replace(COARSE, both=False))
@@ -179,7 +179,7 @@ def test_nothing_in_reach(arm: Robot, scene: Scene) -> None:
         plan_row(arm, scene, QUICK, row=replace(COARSE, heights=(4.5,), step=1.6))
 
 
-def test_what_rows_refuse(arm: Robot, scene: Scene) -> None:
+def test_invalid_rows_are_refused(arm: Robot, scene: Scene) -> None:
     with pytest.raises(OptionError, match="deadline"):
         plan_row(arm, scene, hplan.PlanOptions(deadline_s=1.0))
     with pytest.raises(OptionError, match="carried"):
@@ -190,7 +190,7 @@ def test_what_rows_refuse(arm: Robot, scene: Scene) -> None:
         plan_row(arm, 3)  # type: ignore[arg-type]
 
 
-def test_the_command(scene: Scene, row: RowResult, tmp_path: Path) -> None:
+def test_command(scene: Scene, row: RowResult, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="the extra `figures` is not installed")
     hplan.save_scene(scene.model_copy(update={"robot": "orchard_harvester"}), tmp_path / "row.yaml")
     words = ["--distance", "1.2", "--step", "0.8", "--effort", "quick", "--out", str(tmp_path / "out")]

@@ -43,7 +43,7 @@ def test_fruit_is_exchanged_where_arms_would_be_near_each_other():
     assert {name: set(each.order) for name, each in found.items()} == {"l": {"a", "b", "c"}, "r": {"d", "e", "f"}}
 
 
-def test_what_an_arm_cannot_reach_stays_with_the_other():
+def test_unreachable_fruit_stays_with_other_arm():
     right = share(6.0, FRUITS)
     left = Share({fruit: right.grasps[fruit] for fruit in ("a",)}, share(-1.0, ()).costs.over([0]))
     found = exchanged({"l": left, "r": right}, nearness(0.0), 1.0)
@@ -51,7 +51,7 @@ def test_what_an_arm_cannot_reach_stays_with_the_other():
     assert set(found["r"].order) == set(FRUITS[1:])
 
 
-def test_what_longer_tours_than_costs_say_take_is_reckoned_with():
+def test_measured_tour_durations_correct_the_costs():
     shares = {"l": share(-1.0, ("a", "b", "c")), "r": share(6.0, ("f", "e", "d"))}
     late = Share(shares["l"].grasps, shares["l"].costs, shares["l"].order, more_s=10.0)
     found = exchanged(shares | {"l": late}, nearness(0.0), 1.0)

@@ -188,7 +188,7 @@ def test_costs_are_on_a_raster(robot: Robot, scene: Scene, monkeypatch: pytest.M
             np.testing.assert_array_equal(values, ties.on_raster(values))
 
 
-def test_report_is_json_and_says_when(tour: TourResult) -> None:
+def test_report_is_json_with_times(tour: TourResult) -> None:
     report = json.loads(json.dumps(tour.report))
     assert report["order"] == list(tour.order)
     assert [leg["picked_s"] for leg in report["legs"]] == list(tour.picked.values())
@@ -220,7 +220,7 @@ def test_drop_off_after_two(robot: Robot, scene: Scene, carried: TourResult) -> 
     assert all(carried.picked[name] < carried.dropped[name] for name in carried.order)
 
 
-def test_what_is_carried_is_clear_as_well(robot: Robot, scene: Scene, carried: TourResult) -> None:
+def test_carried_fruit_is_clear(robot: Robot, scene: Scene, carried: TourResult) -> None:
     """Between picking and letting go the last link is as thick as the fruit."""
     thick = carrying(robot, 0.04)
     np.testing.assert_allclose(thick.arm.half_widths, [0.05, 0.04, 0.04], rtol=0, atol=1e-12)
@@ -237,7 +237,7 @@ def test_what_is_carried_is_clear_as_well(robot: Robot, scene: Scene, carried: T
                 assert distances[: -1 if touching else None, column].min() > 0.0
 
 
-def test_a_link_beside_the_tool_holds_what_the_tool_carries(robot: Robot) -> None:
+def test_link_next_to_tool_holds_carried_fruit(robot: Robot) -> None:
     aside = robot.with_arm(replace(robot.arm, lateral=np.array([0.0, 0.0, -0.05])))
     assert carrying(aside, 0.04).arm.half_widths[-1] == pytest.approx(0.09)
 
@@ -341,7 +341,7 @@ def test_motions_are_joined_where_that_is_quicker(robot: Robot) -> None:
     assert path(moves, 0, 2) == (3.0, [(0, 2)])
 
 
-def test_joins_are_those_over_all_stops_at_once() -> None:
+def test_joins_equal_joint_optimum_over_stops() -> None:
     """Against sweeps over all stops, as motions arrive in sequence, some of them twice."""
     rng = np.random.default_rng(3)
     for _ in range(20):
@@ -466,7 +466,7 @@ def test_command_writes_one_csv_for_each(script: ModuleType, scene_path: Path, t
         np.testing.assert_allclose(one.position[-1], other.position[0], rtol=0, atol=1e-9)
 
 
-def test_command_lists_what_is_not_picked(
+def test_command_lists_unpicked_fruit(
     script: ModuleType, robot: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     far = Fruit(name="far [one]", center=(5.0, 0.0, 1.0), radius=0.04)
@@ -484,7 +484,7 @@ def test_command_lists_what_is_not_picked(
     assert (report["status"], report["error"]["kind"]) == ("failed", "TourError")
 
 
-def test_a_drop_off_at_a_pose_says_what_to_use(robot: Robot, scene: Scene) -> None:
+def test_drop_off_at_pose_names_alternative(robot: Robot, scene: Scene) -> None:
     pose = Goal(position=(1.0, 0.0, 1.0), quaternion_xyzw=(0.0, 0.0, 0.0, 1.0))
     with pytest.raises(InputError, match="approach_deg"):
         plan_tour(robot, scene, OPTIONS, fruits=["a"], tour=TourOptions(drop_off=pose))
@@ -546,7 +546,7 @@ def test_few_fruits_are_exact(seed: int, capacity: int, absent: float) -> None:
 
 @pytest.mark.parametrize(("capacity", "absent"), CASES)
 @pytest.mark.parametrize("seed", range(5))
-def test_places_and_drop_offs_along_an_order_are_exact(seed: int, capacity: int, absent: float) -> None:
+def test_configurations_and_drop_offs_of_an_order_are_optimal(seed: int, capacity: int, absent: float) -> None:
     costs = random_costs(seed, 5, capacity=capacity, absent=absent, round_numbers=seed % 2 == 1)
     order = tuple(np.random.default_rng(seed).permutation(5).tolist())
     found = along(costs, order)
@@ -572,7 +572,7 @@ def test_local_search_comes_near_the_optimum(monkeypatch: pytest.MonkeyPatch, se
 
 
 @pytest.mark.parametrize("capacity", [0, 1])
-def test_every_change_costs_what_the_changed_order_does(capacity: int) -> None:
+def test_cost_of_change_equals_cost_of_changed_order(capacity: int) -> None:
     for seed, n, most in itertools.product(range(3), (3, 4, 7), (1, 3)):
         costs = random_costs(seed, n, capacity=capacity, absent=0.2, most=most)
         order, places = (

@@ -272,7 +272,7 @@ def test_speed_factors_keep_path_and_limits(robot, motion, times, data):
     assert (np.diff(found.clock) >= 0.0).all()
 
 
-def test_a_factor_is_followed(robot):
+def test_factor_is_followed(robot):
     motion = motions()[1]
     slow = scaled(motion, 0.5, robot)
     assert slow.trajectory.duration == pytest.approx(2.0 * motion.duration, rel=0.02)
@@ -282,7 +282,7 @@ def test_a_factor_is_followed(robot):
     assert (pace[later.trajectory.time[1:] > 0.6] < 0.2501).all()
 
 
-def test_a_pause_and_on(robot):
+def test_pause_and_on(robot):
     motion = motions()[1]
     found = scaled(motion, [(0.0, 1.0), (0.3, 1.0), (0.3, 0.0), (1.5, 0.0), (1.5, 1.0)], robot)
     paused = np.abs(found.trajectory.velocity).max(axis=1) == 0.0
@@ -292,7 +292,7 @@ def test_a_pause_and_on(robot):
     assert ended.trajectory.duration == pytest.approx(stopped(motion, 0.3, robot).trajectory.duration, abs=0.01)
 
 
-def test_more_than_full_speed_where_there_is_room(robot):
+def test_speed_factor_above_one_within_limits(robot):
     slow = scaled(motions()[1], 0.5, robot).trajectory
     quicker = scaled(slow, 1.2, robot).trajectory
     assert quicker.duration == pytest.approx(slow.duration / 1.2, rel=0.02)
@@ -301,7 +301,7 @@ def test_more_than_full_speed_where_there_is_room(robot):
         scaled(slow, 3.0, robot)
 
 
-def test_how_far_it_is_off_the_path_whatever_the_accelerations_say(robot):
+def test_deviation_from_path_is_independent_of_accelerations(robot):
     """A file of another program may have zeros there."""
     motion = motions()[1]
     rows = np.append(np.arange(0, motion.samples - 1, 10), motion.samples - 1)
@@ -314,7 +314,7 @@ def test_how_far_it_is_off_the_path_whatever_the_accelerations_say(robot):
     assert off.max() > 1e-7
 
 
-def test_a_motion_that_does_not_end_at_rest(robot):
+def test_motion_that_does_not_end_at_rest(robot):
     motion = motions()[1]
     begun = motion.until(40)
     assert not stopped(begun, 0.0, robot).trajectory.velocity.any()
@@ -322,6 +322,6 @@ def test_a_motion_that_does_not_end_at_rest(robot):
         stopped(begun, begun.duration, robot)
 
 
-def test_a_pause_without_an_end_is_refused(robot):
+def test_pause_without_an_end_is_refused(robot):
     with pytest.raises(OptionError, match="has not"):
         scaled(motions()[1], lambda time: 0.0, robot)

@@ -117,7 +117,7 @@ def test_one_after_the_other():
     assert joined([ending_at_rest(1, 1.0, 1.0)] * 3).samples == 1
 
 
-def test_what_does_not_go_on_is_not_joined():
+def test_discontinuous_motions_are_not_joined():
     first = ending_at_rest(5, 0.0, 1.0)
     with pytest.raises(InputError, match="no motion"):
         joined([])
@@ -147,7 +147,7 @@ def test_file_is_rfc_4180(tmp_path):
     assert not set('"# ') & set(data.decode())
 
 
-def test_columns_are_where_the_header_says(tmp_path):
+def test_columns_follow_the_header(tmp_path):
     trajectory = some_trajectory()
     path = write_csv(trajectory, tmp_path / "t.csv")
     with path.open(newline="") as stream:
@@ -183,7 +183,7 @@ def test_odd_joint_names_are_quoted(tmp_path, name):
 
 
 @pytest.mark.parametrize("text", [f"{HEADER}\n0,1,2,3,4\n1,1,2,3,4\n", f"\ufeff{HEADER}\r\n0,1,2,3,4\r\n1,1,2,3,4"])
-def test_reads_what_others_write(tmp_path, text):
+def test_reads_files_of_other_programs(tmp_path, text):
     """Line feeds alone, a byte order mark, whole numbers, no line end at the end."""
     (tmp_path / "t.csv").write_bytes(text.encode())
     trajectory = read_csv(tmp_path / "t.csv")
@@ -265,7 +265,7 @@ def test_a_stop_is_quick(speed):
     assert alone.max() - 2.0 * PERIOD <= found.duration <= 1.1 * alone.max() + 8.0 * PERIOD
 
 
-def test_a_joint_that_cannot_brake(robot):
+def test_joint_that_cannot_brake(robot):
     fast, zero = robot.velocity_limit, np.zeros(4)
     assert braking(robot, zero, fast, zero, PERIOD, np.full(4, 1e-6)) is None
 
@@ -410,7 +410,7 @@ def test_jerk_of_random_motions(robot, limits, rate):
     assert max(uses) <= 1.001
 
 
-def test_tight_torque_slows_the_motion_and_is_kept(robot, smooth_limits):
+def test_tight_torque_limit_slows_motion_and_holds(robot, smooth_limits):
     path = straight(START, GOAL)
     data = robot.model.createData()
     static = np.abs(
@@ -504,7 +504,7 @@ def test_share_of_the_speed(robot, limits, smooth_limits):
 
 
 @pytest.mark.parametrize(("where", "share"), [("begin", (0.0, 0.0, 0.0, 1.0)), ("end", (0.0, 3.0, -3.0, 1.0))])
-def test_a_path_whose_parameter_stands_still_is_refused(robot, limits, where, share):
+def test_path_with_constant_parameter_is_refused(robot, limits, where, share):
     """As in an optimized motion, which begins and ends at rest."""
 
     class Path:
@@ -593,7 +593,7 @@ def test_motions_of_too_many_rows_are_refused_before_they_are_made(robot, scene)
         plan(robot, scene, PlanOptions(speed=1e-9))
 
 
-def test_a_sharp_bend_does_not_slow_the_whole_motion(robot: Robot) -> None:
+def test_sharp_bend_does_not_slow_the_whole_motion(robot: Robot) -> None:
     """A corner rounded within 1e-4 rad must not slow the rest of the motion."""
     corner = np.array([[0.0, 0.2, 0.2, 0.2], [0.0, 0.9, 0.2, 0.9], [0.0, 0.9, 0.9, 0.9]])
     path = rounded_path(corner, 1e-4)

@@ -14,8 +14,8 @@ from toy_urdf import LIMIT, urdf
 
 from hplan.errors import InputError, JointLimitError, TimingError
 from hplan.robot.limits import Limits
-from hplan.trajectory import largest_deviation, limit_shares, limits_of, read_machine, read_waypoints, time_waypoints
-from hplan.trajectory.machine import ENDLESS
+from hplan.trajectory import largest_deviation, limit_shares, limits_of, read_kinematics, read_waypoints, time_waypoints
+from hplan.trajectory.timing import ENDLESS
 from hplan.trajectory.trajectory import read_csv
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "time_waypoints.py"
@@ -66,9 +66,9 @@ CORNERS = np.array([[0.0, 0.0], [1.0, 0.5], [0.2, 1.5], [0.21, 1.5], [-1.0, -1.0
 
 @pytest.mark.parametrize("deviation", [1e-4, 0.005, 0.1])
 def test_motion_keeps_its_limits_and_is_fast(toy, deviation):
-    limits = limits_of(toy.model, [4.0, 6.0])
-    motion = time_waypoints(toy.model, CORNERS, limits, deviation_rad=deviation)
-    check_by_differencing(toy.model, motion, limits)
+    limits = limits_of(toy, [4.0, 6.0])
+    motion = time_waypoints(toy, CORNERS, limits, deviation_rad=deviation)
+    check_by_differencing(toy, motion, limits)
     np.testing.assert_array_equal(motion.position[[0, -1]], CORNERS[[0, -1]])
     assert largest_deviation(motion.position, CORNERS) <= deviation
     assert limit_shares(motion, limits).bound >= 0.9
@@ -76,7 +76,7 @@ def test_motion_keeps_its_limits_and_is_fast(toy, deviation):
 
 @pytest.mark.parametrize("waypoints", [[[0.3, 0.2]], [[0.3, 0.2]] * 4, [[0.3, 0.2], [0.3, 0.2 + 1e-9]]])
 def test_no_motion_is_an_empty_motion(toy, waypoints):
-    motion = time_waypoints(toy.model, waypoints, limits_of(toy.model, 0.0))
+    motion = time_waypoints(toy, waypoints, limits_of(toy, 0.0))
     assert motion.samples == 1
     assert motion.torque[0, 0] > 0.0
 
@@ -84,19 +84,19 @@ def test_no_motion_is_an_empty_motion(toy, waypoints):
 @pytest.mark.parametrize("size", [1e-6, 1e-5, 1e-4, 1e-3])
 @pytest.mark.parametrize("acceleration", [0.5, 50.0])
 def test_small_motions(toy, size, acceleration):
-    limits = limits_of(toy.model, acceleration)
-    motion = time_waypoints(toy.model, [[0, 0], [size, size / 3]], limits, deviation_rad=1e-4)
-    check_by_differencing(toy.model, motion, limits)
+    limits = limits_of(toy, acceleration)
+    motion = time_waypoints(toy, [[0, 0], [size, size / 3]], limits, deviation_rad=1e-4)
+    check_by_differencing(toy, motion, limits)
     np.testing.assert_array_equal(motion.position[-1], [size, size / 3])
 
 
 def test_reversal_and_a_detour_within_the_deviation(toy):
-    limits = limits_of(toy.model, 4.0)
+    limits = limits_of(toy, 4.0)
     way = [[0, 0], [1, 1], [0, 0]]
-    motion = time_waypoints(toy.model, way, limits)
-    check_by_differencing(toy.model, motion, limits)
+    motion = time_waypoints(toy, way, limits)
+    check_by_differencing(toy, motion, limits)
     assert motion.position.max() >= 1.0 - math.radians(1.0)
-    assert time_waypoints(toy.model, [[0, 0], [1e-3, 0], [0, 0]], limits).samples == 1
+    assert time_waypoints(toy, [[0, 0], [1e-3, 0], [0, 0]], limits).samples == 1
 
 
 @pytest.mark.parametrize(
@@ -109,16 +109,16 @@ def test_reversal_and_a_detour_within_the_deviation(toy):
         ({"jerk": [10.0, 0.0]}, "b", "jerk limit of zero"),
     ],
 )
-def test_what_cannot_be_timed_names_joint_and_cause(toy, change, joint, cause):
+def test_untimeable_path_names_joint_and_cause(toy, change, joint, cause):
     limits = {"velocity": [2.0, 2.0], "acceleration": [4.0, 4.0], "torque": [60.0, 60.0]} | change
     with pytest.raises(TimingError, match=f"'{joint}'") as caught:
-        time_waypoints(toy.model, CORNERS, Limits(**{key: np.array(value) for key, value in limits.items()}))
+        time_waypoints(toy, CORNERS, Limits(**{key: np.array(value) for key, value in limits.items()}))
     assert (caught.value.joint, caught.value.cause) == (joint, cause)
 
 
 def test_joint_at_rest_may_have_limits_of_zero(toy):
     limits = Limits(np.array([2.0, 0.0]), np.array([4.0, 0.0]), np.array([60.0, 60.0]))
-    motion = time_waypoints(toy.model, [[0, 1], [1, 1]], limits)
+    motion = time_waypoints(toy, [[0, 1], [1, 1]], limits)
     assert np.ptp(motion.position[:, 1]) == 0.0
     assert limit_shares(motion, limits).velocity[1] == 0.0
 
@@ -174,7 +174,7 @@ def test_script_failures(script, capsys, files, tmp_path, arguments, status, rea
     assert out.read_text() == "an earlier result"
 
 
-def test_script_does_not_overwrite_what_it_reads(script, capsys, files, tmp_path):
+def test_script_does_not_overwrite_its_input(script, capsys, files, tmp_path):
     before = files[1].read_bytes()
     for out, reason in ((files[1], "another file"), (tmp_path / "none" / "o.csv", "folder does not exist")):
         status, _, text = run(script, capsys, *files, "--acceleration", 4, "--out", out)
@@ -204,18 +204,19 @@ def others_robot(name: str) -> Path:
     ],
 )
 def test_other_arms(name, joints, held, script, capsys, tmp_path):
-    machine = read_machine(others_robot(name))
-    assert (len(machine.joint_names), len(machine.held)) == (joints, held)
+    model, others = read_kinematics(others_robot(name))
+    joint_names = list(model.names)[1:]
+    assert (len(joint_names), len(others)) == (joints, held)
     rng = np.random.default_rng(0)
-    low, high = machine.model.lowerPositionLimit, machine.model.upperPositionLimit
+    low, high = model.lowerPositionLimit, model.upperPositionLimit
     waypoints = rng.uniform(np.maximum(low, -2.0), np.minimum(high, 2.0), (6, joints))
-    limits = limits_of(machine.model, 8.0)
-    motion = time_waypoints(machine.model, waypoints, limits)
-    check_by_differencing(machine.model, motion, limits)
+    limits = limits_of(model, 8.0)
+    motion = time_waypoints(model, waypoints, limits)
+    check_by_differencing(model, motion, limits)
     assert largest_deviation(motion.position, waypoints) <= math.radians(1.0)
     assert limit_shares(motion, limits).bound >= 0.9
     with (tmp_path / "w.csv").open("w", newline="") as stream:
-        csv.writer(stream).writerows([machine.joint_names, *waypoints.tolist()])
+        csv.writer(stream).writerows([joint_names, *waypoints.tolist()])
     out = tmp_path / "o.csv"
     assert run(script, capsys, others_robot(name), tmp_path / "w.csv", "--acceleration", 8, "--out", out)[0] == 0
     np.testing.assert_array_equal(read_csv(out).position, motion.position)
@@ -224,30 +225,30 @@ def test_other_arms(name, joints, held, script, capsys, tmp_path):
 @pytest.fixture
 def load(write):
     """A robot from the opening tags of its joints."""
-    return lambda *joints, **options: read_machine(write("robot.urdf", urdf(*joints)), **options)
+    return lambda *joints, **options: read_kinematics(write("robot.urdf", urdf(*joints)), **options)
 
 
 def test_continuous_joint_counts_past_a_turn(load):
-    machine = load('<joint name="spin" type="continuous"><limit velocity="2" effort="60"/>')
-    assert (machine.model.nq, machine.model.nv) == (1, 1)
-    assert machine.model.upperPositionLimit[0] == ENDLESS
-    motion = time_waypoints(machine.model, [[0.0], [20.0]], limits_of(machine.model, 5.0))
+    model, _ = load('<joint name="spin" type="continuous"><limit velocity="2" effort="60"/>')
+    assert (model.nq, model.nv) == (1, 1)
+    assert model.upperPositionLimit[0] == ENDLESS
+    motion = time_waypoints(model, [[0.0], [20.0]], limits_of(model, 5.0))
     assert motion.position[-1, 0] == 20.0
     # Gravity repeats with each turn.
-    twin = pin.rnea(machine.model, machine.model.createData(), np.array([20.0 - 6 * math.pi]), np.zeros(1), np.zeros(1))
+    twin = pin.rnea(model, model.createData(), np.array([20.0 - 6 * math.pi]), np.zeros(1), np.zeros(1))
     assert motion.torque[-1, 0] == pytest.approx(twin[0])
 
 
 def test_limits_that_the_urdf_does_not_give(load):
-    machine = load('<joint name="spin" type="continuous">')
+    model, _ = load('<joint name="spin" type="continuous">')
     with pytest.raises(InputError, match=r"'spin' has no velocity limit") as caught:
-        limits_of(machine.model, 5.0)
+        limits_of(model, 5.0)
     assert caught.value.data["joint"] == "spin"
-    machine = load('<joint name="spin" type="continuous"><limit velocity="2" effort="1"/>')
-    machine.model.effortLimit[0] = np.inf
+    model, _ = load('<joint name="spin" type="continuous"><limit velocity="2" effort="1"/>')
+    model.effortLimit[0] = np.inf
     with pytest.raises(InputError, match="no torque limit"):
-        limits_of(machine.model, 5.0)
-    assert limits_of(machine.model, 5.0, torque=False).torque is None
+        limits_of(model, 5.0)
+    assert limits_of(model, 5.0, torque=False).torque is None
 
 
 @pytest.mark.parametrize("kind", ["floating", "planar"])
@@ -255,34 +256,34 @@ def test_joint_of_several_coordinates_is_refused_and_can_stay(load, kind):
     joints = (f'<joint name="base" type="{kind}">', f'<joint name="a" type="revolute">{LIMIT}')
     with pytest.raises(InputError, match=f"'base' cannot be moved or held: it is {kind}"):
         load(*joints)
-    machine = load(*joints, joints=["a"])
-    assert machine.joint_names == ("a",)
-    assert machine.held == {"base": None}
+    model, held = load(*joints, joints=["a"])
+    assert tuple(model.names)[1:] == ("a",)
+    assert held == {"base": None}
 
 
 def test_mimic_is_held_with_the_one_it_mimics(load):
     *one, other = [f'<joint name="{name}" type="revolute">{LIMIT}' for name in ("arm", "finger", "other")]
     joints = [*one, other + '<mimic joint="finger"/>']
-    machine = load(*joints)
-    assert machine.joint_names == ("arm",)
-    assert machine.held == {"finger": 0.0, "other": 0.0}
+    model, held = load(*joints)
+    assert tuple(model.names)[1:] == ("arm",)
+    assert held == {"finger": 0.0, "other": 0.0}
     for name in ("finger", "other"):
         with pytest.raises(InputError, match=f"'{name}' cannot be moved: .* move as one"):
             load(*joints, joints=[name])
     # The mimicking joint follows if the other is elsewhere.
     joints = [*one, other + '<mimic joint="finger" multiplier="-0.5" offset="0.1"/>']
-    assert load(*joints, hold={"finger": 0.4}).held == {"finger": 0.4, "other": pytest.approx(-0.1)}
+    assert load(*joints, hold={"finger": 0.4})[1] == {"finger": 0.4, "other": pytest.approx(-0.1)}
     with pytest.raises(InputError, match="'other' cannot be held by itself, for it mimics 'finger'"):
         load(*joints, hold={"other": 0.4})
 
 
-def test_held_joints_stand_where_told(load):
+def test_held_joints_are_at_given_positions(load):
     wide, narrow = LIMIT, LIMIT.replace('lower="-3"', 'lower="0.5"')
     joints = [f'<joint name="a" type="revolute">{wide}', f'<joint name="b" type="revolute">{narrow}']
-    assert load(*joints, joints=["a"]).held == {"b": 0.5}
-    machine = load(*joints, joints=["a"], hold={"b": math.pi / 2})
+    assert load(*joints, joints=["a"])[1] == {"b": 0.5}
+    model, _ = load(*joints, joints=["a"], hold={"b": math.pi / 2})
     # The second link points up: both centres of mass, at 0.2 and 0.4 m.
-    still = time_waypoints(machine.model, [[0.0]], limits_of(machine.model, 1.0))
+    still = time_waypoints(model, [[0.0]], limits_of(model, 1.0))
     assert still.torque[0, 0] == pytest.approx(9.81 * (0.2 + 0.4))
     with pytest.raises(JointLimitError, match="hold: joint 'b'"):
         load(*joints, joints=["a"], hold={"b": 0.0})

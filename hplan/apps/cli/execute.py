@@ -41,9 +41,8 @@ exit status:
 
 def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     """Execute the motion and print the result; return the exit status."""
-    from hplan.apps.execution.recorded_motion import read_motion
     from hplan.apps.execution.simulated_arm import Plant
-    from hplan.apps.execution.simulation import execute
+    from hplan.apps.execution.simulation import execute, read_motion
     from hplan.scene.file import load_scene
 
     motion = read_motion(arguments.trajectory)

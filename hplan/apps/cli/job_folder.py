@@ -322,7 +322,7 @@ def needs_rosbags(arguments: argparse.Namespace) -> None:
         InputError: `--mcap` is given and rosbags is not installed.
     """
     if arguments.mcap:
-        from hplan.apps.ros.bag_writer import import_rosbags
+        from hplan.apps.ros.mcap_file import import_rosbags
 
         import_rosbags()
 
@@ -364,7 +364,7 @@ def write_figure(draw: Callable[[], Figure], path: Path, errors: Console) -> lis
     Returns:
         The names of the files written: one or none.
     """
-    from hplan.apps.view.figure_style import write_png
+    from hplan.apps.view.figures import write_png
 
     try:
         return [write_png(draw(), path).name]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,12 +29,12 @@ from hplan.base.files import is_file
 from hplan.errors import OptionError
 
 if TYPE_CHECKING:
+    import pinocchio as pin
     from rich.console import Console
 
     from hplan.base.arrays import FloatArray
     from hplan.planning.result import PlanResult
     from hplan.robot.limits import Limits
-    from hplan.trajectory import Machine
     from hplan.trajectory.trajectory import Trajectory
 
 #: Default output file.
@@ -186,16 +187,16 @@ def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console)
 def _timed(arguments: argparse.Namespace, console: Console) -> int:
     """Time the path without checking collisions; write the motion."""
     from hplan.robot.dynamics import joints_that_slide
-    from hplan.trajectory import read_machine, read_waypoints, time_waypoints
+    from hplan.trajectory import read_kinematics, read_waypoints, time_waypoints
     from hplan.trajectory.trajectory import write_csv
 
     _check_options(arguments)
-    machine = read_machine(arguments.urdf, arguments.joints, hold=held_joints(arguments))
-    waypoints = read_waypoints(arguments.waypoints, machine.joint_names, joints_that_slide(machine.model))
-    limits = _limits(arguments, machine)
+    model, held = read_kinematics(arguments.urdf, arguments.joints, hold=held_joints(arguments))
+    waypoints = read_waypoints(arguments.waypoints, tuple(model.names)[1:], joints_that_slide(model))
+    limits = _limits(arguments, model, held)
     check_output_file(arguments.out, force=arguments.force)
     trajectory = time_waypoints(
-        machine.model,
+        model,
         waypoints,
         limits,
         deviation_rad=math.radians(arguments.deviation),
@@ -204,11 +205,11 @@ def _timed(arguments: argparse.Namespace, console: Console) -> int:
     )
     write_csv(trajectory, arguments.out)
     if not arguments.quiet:
-        _show(console, arguments, machine, waypoints, limits, trajectory)
+        _show(console, arguments, model, held, waypoints, limits, trajectory)
     return 0
 
 
-def _limits(arguments: argparse.Namespace, machine: Machine) -> Limits:
+def _limits(arguments: argparse.Namespace, model: pin.Model, held: Collection[str]) -> Limits:
     """Limits of the URDF, with acceleration (and jerk) limits from options.
 
     Raises:
@@ -224,7 +225,7 @@ def _limits(arguments: argparse.Namespace, machine: Machine) -> Limits:
     if arguments.acceleration is not None:
         if not (math.isfinite(arguments.acceleration) and arguments.acceleration >= 0.0):
             raise OptionError("--acceleration", arguments.acceleration, "a finite number >= 0")
-        return limits_of(machine.model, arguments.acceleration, torque=torque)
+        return limits_of(model, arguments.acceleration, torque=torque)
     files = robot_files(arguments.urdf)
     own = files.urdf.with_suffix(LIMITS_SUFFIX) if files.limits is None else files.limits
     path = own if arguments.limits is None else limits_file(arguments.limits)
@@ -234,14 +235,15 @@ def _limits(arguments: argparse.Namespace, machine: Machine) -> Limits:
             None,
             f"acceleration limits, which a URDF cannot hold: a number here, or a file by --limits ({path} is missing)",
         )
-    acceleration, jerk = read_limits(path, machine.joint_names, joints_that_slide(machine.model), machine.held)
-    return limits_of(machine.model, acceleration, jerk, torque=torque)
+    acceleration, jerk = read_limits(path, tuple(model.names)[1:], joints_that_slide(model), held)
+    return limits_of(model, acceleration, jerk, torque=torque)
 
 
 def _show(
     console: Console,
     arguments: argparse.Namespace,
-    machine: Machine,
+    model: pin.Model,
+    held: Mapping[str, float | None],
     waypoints: FloatArray,
     limits: Limits,
     trajectory: Trajectory,
@@ -255,7 +257,7 @@ def _show(
 
     full, paced = limit_shares(trajectory, limits), limit_shares(trajectory, limits.scaled(arguments.speed))
     length = float(np.linalg.norm(np.diff(waypoints, axis=0), axis=1).sum())
-    slides = joints_that_slide(machine.model)
+    slides = joints_that_slide(model)
     samples = "1 row: nothing to move" if trajectory.samples == 1 else f"{trajectory.samples:,} rows"
     deviation = joint_length(largest_deviation(trajectory.position, waypoints), slides, ".4f")
     allowed = joint_length(math.radians(arguments.deviation), slides, "g")
@@ -266,7 +268,7 @@ def _show(
         ("at a limit", f"{100.0 * paced.bound:.1f} % of the time"),
         *(
             ("held", f"{escape(name)} at {'its neutral position' if value is None else f'{value:g} rad'}")
-            for name, value in machine.held.items()
+            for name, value in held.items()
         ),
         ("file", escape(arguments.out)),
     ]
@@ -279,9 +281,9 @@ def _show(
             *(f"{100.0 * values[joint]:.1f}" for values in shown.values()),
             f"{100.0 * paced.binding[joint]:.1f} % of the time",
         )
-        for joint, name in enumerate(machine.joint_names)
+        for joint, name in enumerate(trajectory.joint_names)
     )
-    show(console, arguments.waypoints.name, machine.model.name, facts_table(facts))
+    show(console, arguments.waypoints.name, model.name, facts_table(facts))
     console.print(number_table((first, *shown, "holds the motion back"), rows, texts=(first,)))
     torque = "" if full.torque is not None else "; torque is not limited"
     console.print(f"\nholds the motion back: uses {100.0 * AT_LIMIT:g} % or more of a limit{torque}\n", style="dim")

@@ -22,7 +22,7 @@ from typing import Any, get_args
 import numpy as np
 import yaml
 
-from hplan.apps.ros.message_times import message_time, seconds_of, time_ns
+from hplan.apps.ros.transforms import message_time, seconds_of, time_ns
 from hplan.base.arguments import file_path, instance, list_of, one_of, truth, whole
 from hplan.base.arrays import FloatArray, numbers
 from hplan.base.files import write_text

@@ -13,8 +13,7 @@ import coal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.apps.ros.message_times import message_time
-from hplan.apps.ros.transforms import quaternion, xyz
+from hplan.apps.ros.transforms import message_time, quaternion, xyz
 from hplan.apps.view.scenery import FRUIT_COLOR, GOAL_FRUIT_COLOR, look_of
 from hplan.base.arguments import instance, text
 from hplan.base.arrays import FloatArray

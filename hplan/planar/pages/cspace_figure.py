@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hplan.apps.view.figure_style import FAINT, GOAL, INK, OBSTACLE, START, new_figure, styled
+from hplan.apps.view.figures import FAINT, GOAL, INK, OBSTACLE, START, new_figure, styled
 from hplan.planar.pages.cspace_surface import draw_cspace_obstacle, hidden, joint_box
 from hplan.planar.pages.yaw_section import YawSection
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hplan.apps.view.figure_style import FAINT, QUIET
+from hplan.apps.view.figures import FAINT, QUIET
 from hplan.apps.view.framing import view_axes
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.planar.grid.grid import Grid

@@ -37,8 +37,11 @@ def test_from_a_faulty_file_to_an_arm_that_loads(tmp_path, capsys):
     assert run(path, "--repair", tmp_path / "mended.urdf", "--write-limits", tmp_path / "mended.limits.yaml") == 2
     shown = " ".join(capsys.readouterr().out.split())
     assert "5 faults" in shown
-    for part in ("velocity of <limit> is '0'", "effort of <limit> is '0'", "value of <mass> is '2,5'",
-                 "xzy of <origin> means nothing", "it has no acceleration limits", "'2.5'", "is called xyz now", f"written: {tmp_path}/mended.urdf"):  # fmt: skip
+    for part in (
+        "velocity of <limit> is '0'", "effort of <limit> is '0'", "value of <mass> is '2,5'", "'2.5'",
+        "xzy of <origin> means nothing", "it has no acceleration limits", "is called xyz now",
+        f"written: {tmp_path}/mended.urdf",
+    ):  # fmt: skip
         assert part in shown, part
     template = (tmp_path / "mended.limits.yaml").read_text()
     assert "velocity_rad_s:\n  shoulder_pan: 1  # guess: the URDF has no positive velocity\n" in template

@@ -95,7 +95,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     if arguments.picture is not None:
         if found.robot is None:
             raise InputError(f"{arguments.picture}: an arm that cannot be loaded cannot be drawn")
-        from hplan.apps.view.figure_style import write_png
+        from hplan.apps.view.figures import write_png
 
         write_png(draw_arm(found.robot), arguments.picture)
         written.append(arguments.picture)
@@ -196,7 +196,7 @@ def draw_arm(robot: Robot) -> Figure:
     """
     import numpy as np
 
-    from hplan.apps.view.figure_style import LINKS, new_figure, styled
+    from hplan.apps.view.figures import LINKS, new_figure, styled
     from hplan.robot.inspection import shape_triangles
 
     @styled

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from hplan.robot.model import Robot, load_robot
     from hplan.scene.file import load_scene, save_scene
     from hplan.scene.model import Scene
+    from hplan.study.batch import BatchRow, run_batch
     from hplan.study.definition import Study
     from hplan.study.run import StudyResult, run_study
     from hplan.tour.cell_tour import CellTour, plan_cell_tour
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 
 __all__ = [
+    "BatchRow",
     "Cell",
     "CellResult",
     "CellTour",
@@ -73,6 +75,7 @@ __all__ = [
     "reachable",
     "read_csv",
     "replan_cell",
+    "run_batch",
     "run_study",
     "save_scene",
     "warm_up",
@@ -98,6 +101,7 @@ __getattr__ = lazy_names(
         "hplan.robot.model": "Robot load_robot",
         "hplan.scene.file": "load_scene save_scene",
         "hplan.scene.model": "Scene",
+        "hplan.study.batch": "BatchRow run_batch",
         "hplan.study.definition": "Study",
         "hplan.study.run": "StudyResult run_study",
         "hplan.tour.cell_tour": "CellTour plan_cell_tour",

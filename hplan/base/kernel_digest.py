@@ -207,7 +207,7 @@ class _Parts:
         elif isinstance(value, type) and issubclass(value, Exception):  # identified by its name
             self._write(value.__module__, value.__qualname__)
         else:
-            raise UnknownDependencyError(f"nothing is known of {value!r}")
+            raise UnknownDependencyError(f"the dependencies of {value!r} are unknown")
 
     def _add_code(self, code: CodeType) -> None:
         names = (code.co_name, code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars)

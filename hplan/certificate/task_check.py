@@ -1,4 +1,4 @@
-"""Check that a trajectory solves its scene's task: start, goal and locked joints."""
+"""Check that a trajectory has its scene's start, goal and locked joints."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[
 
     The motion must start at the start and end at the goal: at its joint values, with the tool at its position, or with
     the frame at its pose, within 1 mm and 0.001 rad. The tool must be at a goal fruit at some sample, since a picking
-    motion goes back. At a goal position or fruit the last link, or the tool of a general (non-planar) arm, must have
-    the required approach angle. Locked joints must not move.
+    motion goes back. At a goal position or fruit the tool must have the required approach
+    angle. Locked joints must not move.
 
     Args:
         robot: The arm.
@@ -60,7 +60,7 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[
         row, away = instant_at(robot, rows, fruit.center)
         what = f"fruit {fruit.name!r}"
     if not away <= THERE:
-        when = "ends with the tool" if fruit is None else "brings the tool no nearer than"
+        when = "ends with the tool" if fruit is None else "brings the tool no closer than"
         yield f"the motion {when} {1e3 * away:.4g} mm from the goal, {what}"
     else:
         yield from _approach(robot, scene, rows[row])
@@ -86,17 +86,14 @@ def _beside(robot: Robot, pose: FloatArray, frame: str | None, q: FloatArray) ->
 
 
 def _approach(robot: Robot, scene: Scene, q: FloatArray) -> Iterator[str]:
-    """Message about a last link, or a tool, without the goal's approach angle."""
+    """Message about a tool without the goal's approach angle."""
     if scene.goal.approach_deg is None:
         return
     asked = np.radians(np.atleast_1d(scene.goal.approach_deg))
     low, width = asked[0], asked[-1] - asked[0]
-    if robot.planar is None:
-        what, direction = "tool's axis", float(approach_angles(robot, q[None], robot.tool_positions(q))[0])
-    else:
-        what, direction = "last link", float((robot.arm.signs * q[robot.arm_slice] + robot.arm.offsets).sum())
+    direction = float(approach_angles(robot, q[None], robot.tool_positions(q))[0])
     beyond = (direction - low + SAME) % (2.0 * np.pi)
     if beyond > width + 2.0 * SAME:
         angle = np.degrees(np.pi - (np.pi - direction) % (2.0 * np.pi))
         wanted = " to ".join(f"{end:g}" for end in np.degrees(asked[[0, -1] if width > 0.0 else [0]]))
-        yield f"the {what} is at {angle:.4g} deg at the goal; asked for: {wanted} deg"
+        yield f"the tool is at {angle:.4g} deg at the goal; required: {wanted} deg"

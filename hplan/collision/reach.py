@@ -31,6 +31,7 @@ import pinocchio as pin
 from hplan.base.arrays import FloatArray, frozen
 from hplan.collision.collision_bodies import CollisionBody, collision_bodies
 from hplan.geometry.polygon import convex_hull
+from hplan.robot.dynamics import joint_axis as model_joint_axis
 from hplan.robot.model import Robot, made_once
 
 #: Number of corners of the polygon around a ring.
@@ -99,7 +100,10 @@ def reach_ball(robot: Robot) -> FloatArray:
 
 
 class _Rings(NamedTuple):
-    """Rings around an axis: (3,) point and direction of the axis, (n,) radii and heights."""
+    """Rings around an axis.
+
+    (3,) point and direction of the axis, (n,) radii and heights.
+    """
 
     place: FloatArray
     axis: FloatArray
@@ -108,7 +112,10 @@ class _Rings(NamedTuple):
 
     @classmethod
     def about(cls, axis: FloatArray, radius: FloatArray, height: FloatArray) -> _Rings:
-        """Rings on the convex hull of the given ones, around an axis through the origin."""
+        """Rings on the convex hull of the given ones.
+
+        Around an axis through the origin.
+        """
         profile = np.column_stack([radius, height])
         profile = _outline(np.vstack([profile, profile * [-1.0, 1.0]]))
         return cls(np.zeros(3), axis, *profile[profile[:, 0] >= 0.0].T)
@@ -125,7 +132,7 @@ class _Rings(NamedTuple):
 
 
 def _carried(robot: Robot, points: FloatArray, joint: int, beyond: float) -> tuple[FloatArray, FloatArray]:
-    """Motion-bound coefficients of points on a joint, and a hull of their workspace.
+    """Motion-bound coefficients of points, and a hull of their workspace.
 
     The hull is given by points in `base_link`; it contains the given points at all configurations.
     """
@@ -175,16 +182,18 @@ def largest_sway(robot: Robot, deviation: FloatArray) -> FloatArray:
 
 
 def joint_axis(robot: Robot, joint: int) -> tuple[FloatArray, bool]:
-    """(3,) unit axis of a joint in its own frame, and True for a prismatic joint."""
-    moved = robot.model.joints[joint + 1]
-    data = moved.createData()
-    moved.calc(data, np.zeros(1))
-    slide, turn = np.array(data.S, dtype=np.float64).reshape(2, 3)
-    return (slide, True) if slide.any() else (turn, False)
+    """(3,) unit axis of a joint, and whether it is prismatic.
+
+    In the joint's own frame.
+    """
+    return model_joint_axis(robot.model, joint + 1)
 
 
 def carriers(robot: Robot, joint: int) -> tuple[int, ...]:
-    """Joints from the given joint down to the base, itself first; empty for the ground."""
+    """Joints from the given one, itself first, to the base.
+
+    Empty for the ground.
+    """
     found = []
     while joint >= 0:
         found.append(joint)
@@ -193,7 +202,10 @@ def carriers(robot: Robot, joint: int) -> tuple[int, ...]:
 
 
 def _outline(points: FloatArray) -> FloatArray:
-    """Vertices of the convex hull of (n, 2) points, up to rounding errors."""
+    """Vertices of the convex hull of (n, 2) points.
+
+    Up to rounding errors.
+    """
     from scipy.spatial import ConvexHull, QhullError
 
     try:

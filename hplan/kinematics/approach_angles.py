@@ -59,10 +59,8 @@ class Candidates(Record):
     """Configurations that put the tool at a point.
 
     Attributes:
-        configurations: (k, dof), k >= 1, within the limits; sorted by joint values for a planar arm, quickest to reach
-            first for any other.
-        approach: (k,) approach angle in (-pi, pi]: for a planar arm the absolute angle of the last link in the arm
-            plane, for any other the angle of the tool frame's z axis (`hplan.kinematics.tool_at_point`).
+        configurations: (k, dof), k >= 1, within the limits.
+        approach: (k,) approach angle of the tool in (-pi, pi] (`hplan.kinematics.tool_at_point`).
     """
 
     configurations: FloatArray

@@ -23,7 +23,7 @@ from hplan.base.arrays import FloatArray, IntArray, Record, frozen
 from hplan.errors import ApproachError
 from hplan.geometry.polyline import curve_length
 from hplan.kinematics.damped_steps import ABOUT_Z, KEPT, draw_back, follow
-from hplan.kinematics.inverse_kinematics import chain_of
+from hplan.kinematics.inverse_kinematics import chain_of, pointed
 from hplan.robot.model import Robot
 
 if TYPE_CHECKING:
@@ -68,10 +68,8 @@ def lines_back(
     """
     count = _STEPS * math.ceil(distance / (STEP_M * _STEPS))
     distances: FloatArray = distance * np.arange(count + 1) / count
-    chain = chain_of(robot, np.eye(4), KEPT if keeps_turn else ABOUT_Z)
+    chain = pointed(chain_of(robot, np.eye(4), KEPT if keeps_turn else ABOUT_Z), robot.tool_axis)
     chain.moves[robot.locked_mask(locked)] = 0.0
-    towards = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), robot.tool_axis).toRotationMatrix()
-    chain.placement[:9] = (chain.placement[:9].reshape(3, 3) @ towards).ravel()
     most = np.diff(distances, prepend=0.0)[:, None] * np.where(robot.slides, _SLIDING, TURNING)
     ends, rows = np.array(goals, dtype=np.float64), np.empty((len(goals), count + 1, robot.dof))
     begun, reached = np.zeros((2, len(goals)), dtype=np.int64)
@@ -144,7 +142,7 @@ class StraightLine(Record):
         back = lines_back(self.robot, self.goal[None], self.standoff, locked=self.locked, keeps_turn=self.keeps_turn)
         if back.reached[0] < len(back.distances):
             largest = float(back.distances[back.reached[0] - 1])
-            detail = f"the tool can be drawn back by {largest:.6g} m alone"
+            detail = f"the tool can be withdrawn by {largest:.6g} m only"
             raise ApproachError(self.standoff, "line", detail, largest_standoff_m=largest)
         return back
 

@@ -1,9 +1,9 @@
 r"""Inverse kinematics of any robot for a tool position, from any direction.
 
-The tool approaches along the z axis of its frame; rotation about this axis is free. The *approach angle* is the angle
-of the axis against the horizontal, as for a planar arm in its plane: 0 is outward from the base, 90 degrees straight
-up, 180 back towards the base. With :math:`\hat\rho` the horizontal direction from the first joint to the point and
-:math:`\hat z` upward, the direction with the angle :math:`\alpha` and the heading :math:`\psi \in [-90, 90)` degrees is
+The tool approaches along its axis (`Robot.tool_axis`); rotation about this axis is free. The *approach angle* is the
+angle of the axis against the horizontal: 0 is outward from the base, 90 degrees straight up, 180 back towards the base.
+With :math:`\hat\rho` the horizontal direction from the first joint to the point and :math:`\hat z` upward, the
+direction with the angle :math:`\alpha` and the heading :math:`\psi \in [-90, 90)` degrees is
 
 .. math:: \cos\alpha (\cos\psi \, \hat\rho + \sin\psi \, \hat z \times \hat\rho) + \sin\alpha \, \hat z.
 
@@ -27,7 +27,7 @@ from hplan.collision.reach import carriers, joint_axis
 from hplan.errors import UnreachableError
 from hplan.kinematics.approach_angles import Candidates, Window
 from hplan.kinematics.damped_steps import ABOUT_Z, ANY_TURN, Chain, solve_each
-from hplan.kinematics.inverse_kinematics import MOST_SEEDS, chain_of, distinct, spread_starts
+from hplan.kinematics.inverse_kinematics import MOST_SEEDS, chain_of, distinct, pointed, spread_starts
 from hplan.robot.model import Robot
 
 #: Number of directions, and number of starts for each.
@@ -78,7 +78,7 @@ def tool_at_point(
     # Minimum number of joints for a position and a tool direction.
     directed = 5
     for turn, towards in ((ABOUT_Z, _directions(outward, window, directions)), (ANY_TURN, outward[None])):
-        chain = chain_of(robot, pose, turn)
+        chain = pointed(chain_of(robot, pose, turn), robot.tool_axis)
         chain.moves[keeps] = 0.0
         if turn == ANY_TURN or np.count_nonzero(chain.moves) >= directed:
             found.append(_solved(robot, begin, chain, towards, directions if turn == ANY_TURN else _STARTS))
@@ -91,8 +91,8 @@ def tool_at_point(
         asked = "" if window is None else f" with an approach angle of {approach_deg} deg"
         held = f", with {', '.join(locked)} locked" if keeps.any() else ""
         detail = (
-            f"no configuration{asked} was found for any of {directions} directions of the tool{held}; that is no proof "
-            "that there is none"
+            f"no configuration{asked} was found for any of {directions} directions of the tool{held}; this does not "
+            "prove that none exists"
         )
         raise UnreachableError(place.tolist(), "not_found", detail, joints=list(robot.joint_names))
     return Candidates(frozen(solutions), frozen(approach))
@@ -103,7 +103,7 @@ def approach_angles(robot: Robot, configurations: FloatArray, position: FloatArr
 
     They are in (-pi, pi]; `configurations` is (k, dof), `position` is (3,).
     """
-    along = robot.forward_kinematics(configurations)[:, :3, 2]
+    along = robot.forward_kinematics(configurations)[:, :3, :3] @ robot.tool_axis
     outward = _outward(robot, np.array(position))
     level = np.copysign(np.hypot(along[:, 0], along[:, 1]), along @ outward)
     angles: FloatArray = np.arctan2(along[:, 2], level)
@@ -124,7 +124,7 @@ def _check_reach(robot: Robot, place: FloatArray) -> None:
             longest += float(np.abs([robot.lower[joint], robot.upper[joint]]).max())
     excess = math.dist(place, model.jointPlacements[chain[-1] + 1].translation) - longest
     if excess > 0.0:
-        detail = f"it is {excess:.4g} m beyond the stretched arm"
+        detail = f"it is {excess:.4g} m beyond the reach of the stretched arm"
         raise UnreachableError(place.tolist(), "too_far", detail, excess_m=excess)
 
 
@@ -163,7 +163,7 @@ def _directions(outward: FloatArray, window: Window | None, count: int) -> Float
 def _solved(robot: Robot, begin: FloatArray, chain: Chain, directions: FloatArray, count: int) -> FloatArray:
     """(k, dof) configurations at the chain's position along given directions.
 
-    The z axis of the frame points along one of the directions.
+    The tool axis points along one of the directions.
 
     Args:
         begin: (dof,) start configuration.
@@ -186,7 +186,7 @@ def _solved(robot: Robot, begin: FloatArray, chain: Chain, directions: FloatArra
 def _spinning(robot: Robot, chain: Chain) -> list[int]:
     """Return the joint that only spins the tool, if any.
 
-    It rotates the tool about its z axis and can keep its value.
+    It rotates the tool about its axis and can keep its value.
     """
     carrier = int(chain.carrier[0])
     if carrier == robot.dof:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from hplan.planar.effort import EFFORTS
-from hplan.planar.inverse_kinematics import reach
+from hplan.planar.goal_sampler import configurations_at_point
 from hplan.planar.joint_ranges import joint_ranges
 from hplan.planar.no_path_proof import describe_proof, prove_infeasible
 from hplan.planar.path_finders import path_finders, searches_first
@@ -30,7 +30,9 @@ def is_planar(robot: Robot) -> bool:
 
 
 def check_cspace(robot: Robot, yaw: float | None) -> None:
-    """Check that an arm's C-space can be drawn at a yaw; None for the goal's yaw.
+    """Check that an arm's C-space can be drawn at a yaw.
+
+    None for the goal's yaw.
 
     Raises:
         InputError: The arm does not have three planar joints.
@@ -42,7 +44,9 @@ def check_cspace(robot: Robot, yaw: float | None) -> None:
 
 
 def draw_cspace(result: PlanResult, options: PlanOptions, yaw: float | None) -> tuple[str, Callable[[], Figure]]:
-    """Return the page of a result's C-space at a yaw, and a function that draws its figure.
+    """Return the page of a result's C-space at a yaw.
+
+    Also returns a function that draws its figure.
 
     Raises:
         InputError: The arm does not have three planar joints.
@@ -63,7 +67,7 @@ register_specialist(
         recognizes=is_planar,
         presets=EFFORTS,
         # The closed form returns all configurations, and all of their approaches are tried.
-        goal_sampler=GoalSampler(reach, more=512, enough=None, is_sorted=False),
+        goal_sampler=GoalSampler(configurations_at_point, more=512, enough=None, is_sorted=False),
         joint_ranges=joint_ranges,
         path_finders=path_finders,
         prove_infeasible=prove_infeasible,

@@ -219,7 +219,7 @@ class _CellPlanner:
         # Other grasps might work; goals given as joints leave no alternative.
         chosen = any(result.grasp for result in self._alone.values())
         if chosen and isinstance(error, ConfigurationInCollisionError) and error.which == "goal":
-            grasps = f"the grasps of each arm by itself, with which {error.link!r} is in {error.obstacle!r}"
+            grasps = f"the grasps of each arm alone, with which {error.link!r} is in {error.obstacle!r}"
             return NotFoundError([*_WAYS, grasps])
         return error
 

@@ -122,7 +122,9 @@ def finish(
     path = given_path(robot, waypoints)
     along = scene_along(robot, scene, path)
     if keep_within_rad is None and np.abs(path.points[-1] - path.points[0]).max() <= SAME:
-        raise InputError("the path ends where it begins: shortened, nothing is left of it; its shape can be kept")
+        raise InputError(
+            "the path ends where it begins, and shortening leaves nothing of it; keep its shape (keep_within_rad)"
+        )
     with stage_clock(progress) as clock, time_limit(options.deadline_s, cancel) as limit:
         try:
             return _finished(Problem.of(robot, along, options), path, keep_within_rad)
@@ -292,7 +294,7 @@ def scene_along(robot: Robot, scene: Scene, path: GivenPath) -> Scene:
     if scene.moves:
         raise MovingObstacleError(scene.first_moving)
     if scene.start.is_moving:
-        raise InputError("the scene's start is in motion, and the motion along a given path begins at rest")
+        raise InputError("the scene's start is in motion, but the motion along a given path begins at rest")
     for joint in np.flatnonzero(robot.locked_mask(scene.locked_joints)).tolist():
         off = np.abs(path.points[:, joint] - path.points[0, joint])
         if off.max() > SAME:

@@ -1,9 +1,9 @@
 """Grasps of a fruit or point: goal configurations with straight approaches.
 
-Each configuration with the tool at the point (`hplan.planning.tool_paths`) gets a straight approach along the last
-link or, for a general (non-planar) arm, along the z axis of the tool frame. The approach starts at a stand-off of the
-requested distance, or of a shorter one if that is infeasible. Only the last link may touch the target fruit,
-and only during the approach; if no straight approach is collision-free, it may touch the fruit during the whole motion.
+Each configuration with the tool at the point (`hplan.planning.tool_paths`) gets a straight approach along the tool
+axis (`Robot.tool_axis`). The approach starts at a stand-off of the requested distance, or of a shorter one if that is
+infeasible. Only the last link may touch the target fruit, and only during the approach; if no straight approach is
+collision-free, it may touch the fruit during the whole motion.
 
 If the position of a fruit is uncertain, approaches differ in the probability that it is within the gripper's capture
 range: its center is off by at most one length along the tool axis at the grasp and by at most another length across it.
@@ -90,8 +90,7 @@ class Grasp(Record):
         goal: (dof,) configuration with the tool at the point.
         standoff: (dof,) configuration at the start of the straight approach; the goal itself without an approach.
         distance: Length of the approach [m].
-        approach: Absolute angle of the last link in the arm plane; for a general (non-planar) arm the approach angle
-            of its tool (`hplan.kinematics.tool_at_point`) [rad].
+        approach: Approach angle of the tool (`hplan.kinematics.tool_at_point`) [rad].
         least_duration: Lower bound on the duration of any motion from the start through the stand-off to the goal [s].
         room: Clearance of grasp and stand-off beyond the required clearance, at most `SPARE` [m].
         keeps_turn: Whether the tool keeps its rotation about its axis during the approach.
@@ -273,8 +272,7 @@ def grasps_or_blocked(
         count: Approximate number of candidate configurations if the approach angle is free.
 
     Raises:
-        UnreachableError: No configuration reaches the point, obstacles ignored; for a general (non-planar) arm, none
-            was found.
+        UnreachableError: No configuration that reaches the point was found, obstacles ignored.
         ConfigurationInCollisionError: The start is in contact with an obstacle that blocks a joint.
         InputError: The position or the approach is invalid.
         OptionError: As `hplan.planning.tool_paths.Tool.at`.

@@ -1,4 +1,6 @@
-r"""The earliest time scaling of a motion past moving obstacles, through clear cells of path and time.
+r"""The earliest time scaling of a motion past moving obstacles.
+
+It passes through clear cells of path and time.
 
 A cell is the segment of the motion that takes `_STATION_S` at full speed, a station, during a time interval of one step
 plus an allowance for timing errors on both sides. It is clear if the arm at its middle is farther from all moving

@@ -48,6 +48,18 @@ def joints_that_slide(model: pin.Model) -> tuple[bool, ...]:
     return tuple(joint.shortname() in SLIDING for joint in model.joints.tolist()[1:])
 
 
+def joint_axis(model: pin.Model, joint: int) -> tuple[FloatArray, bool]:
+    """(3,) unit axis of a joint, and whether it is prismatic.
+
+    The axis is in the joint's own frame.
+    """
+    moved = model.joints[joint]
+    data = moved.createData()
+    moved.calc(data, np.zeros(1))
+    slide, turn = np.array(data.S, dtype=np.float64).reshape(2, 3)
+    return (slide, True) if slide.any() else (turn, False)
+
+
 @dataclass(frozen=True, eq=False)
 class InverseDynamics(Record):
     """Pinocchio's model, with its joints and bodies as one flat array.

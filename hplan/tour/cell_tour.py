@@ -296,13 +296,13 @@ def _planned(cell: Cell, options: PlanOptions, progress: Progress) -> CellTour:
     cell = replace(cell, robot=carrying(cell.robot, thickest, carry)) if carry and thickest else cell
     World.of(cell.robot, (), clearance=cell.scene.clearance).check_clear(cell.configuration({}), "start")
     apart = replace(cell, arms=tuple(_among_others(cell, arm) for arm in cell.arms))
-    progress("who reaches what")
+    progress("reachability of the fruits")
     able, reasons = _able(apart, options)
     mine = {arm.name: [fruit for fruit in able if arm.name in able[fruit]] for arm in apart.arms}
     pickers = {arm.name: _Picker(arm, options, mine[arm.name]) for arm in apart.arms if mine[arm.name]}
     if not pickers:
         raise TourError(list(reasons.items()))
-    why = "one after the other they come too near to each other"
+    why = "even one after the other, they come too close to each other"
     for spare in SPARES[1:]:
         schedule = _soonest(cell, options, spare, pickers, able, reasons, progress)
         if schedule is None:

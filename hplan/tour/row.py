@@ -55,7 +55,7 @@ def within_reach(robot: Robot, scene: Scene) -> Scene:
     near, inside = without_inside(robot, cropped)
     rigid = next((one.name for one in cropped.obstacles if one.name in inside and not one.yields), None)
     if rigid is not None:
-        raise InputError(f"obstacle {rigid!r} stands in the robot's pedestal or turret", obstacle=rigid)
+        raise InputError(f"obstacle {rigid!r} is inside the robot's pedestal or turret", obstacle=rigid)
     return near
 
 
@@ -414,7 +414,7 @@ def _costs(
     found: dict[Place, dict[str, float] | None] = {}
     for _, lot in outcomes(partial(_seen_from, robot, scene, options, row), lots, *pool):
         found |= lot
-        progress(f"stops: {len(found)} of {len(places)} looked at")
+        progress(f"stops: {len(found)} of {len(places)} evaluated")
     return {place: held for place in places if (held := found[place]) is not None}
 
 

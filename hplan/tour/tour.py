@@ -75,7 +75,7 @@ class TourOptions(Options):
         if self.drop_off is not None and self.drop_off.fruit is not None:
             raise OptionError("drop_off", self.drop_off.fruit, "joints or a position, not a fruit")
         if self.every is not None and self.drop_off is None:
-            raise OptionError("every", self.every, "a drop-off with it")
+            raise OptionError("every", self.every, "None without a drop-off")
 
 
 def plan_tour(
@@ -177,7 +177,7 @@ class TourPlanner:
         self._carrying: Robot | None = None
         self._drop: Transit | None = None
         if scene.start.is_moving:
-            raise SceneError("tours begin at rest; the start has a velocity or an acceleration", where="start")
+            raise SceneError("tours begin at rest, but the start has a velocity or an acceleration", where="start")
         self.problem = Problem.of(robot, scene, options)
         self.start = self.problem.start
         self.problem.world.check_base(robot.yaw_of(self.start))
@@ -259,7 +259,7 @@ class TourPlanner:
             found["best"], totals["best"] = found[quickest], totals[quickest]
         visits = found.get(self.tour.order, Visits(math.inf, np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)))
         if motions.fruits and not math.isfinite(visits.cost):
-            cut_off = CertificationError("no certified motions join the places from which it could be picked to others")
+            cut_off = CertificationError("no certified motion connects its grasps to other fruits or to the start")
             unreached += [Unreached(name, cut_off) for name in motions.fruits]
         return _Stage(motions, visits, {order: totals[order] for order in _ORDERS if order in totals}, unreached)
 

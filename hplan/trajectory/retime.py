@@ -94,9 +94,11 @@ def time_path(
         return resting(dynamics.model, path.evaluate(0.0))
     _check_limits(path, dynamics, limits, whole, names)
     runs = np.linalg.norm(path.evaluate(np.array([0.0, path.breaks[-1]]), 1), axis=1)
-    for where, run in zip(("begin", "end"), runs, strict=True):
+    for where, run in zip(("start", "end"), runs, strict=True):
         if not run > 0.0:
-            message = f"the path's parameter stands still at its {where}; it should run about as the joint-space length"
+            message = (
+                f"the path has zero derivative at its {where}; its parameter should be close to the joint-space length"
+            )
             raise TimingError(message, cause="parameter")
     check_deadline()
     profile = SpeedProfile.along(path, dynamics, limits, whole)
@@ -145,7 +147,7 @@ def _check_limits(
     point, joint = np.unravel_index(int(use.argmax()), use.shape)
     if use[point, joint] > 1.0:
         raise TimingError(
-            f"joint {names[joint]!r} needs {abs(static[point, joint]):.4g} N m to stand still on the path, "
+            f"joint {names[joint]!r} needs {abs(static[point, joint]):.4g} N m to hold its position on the path, "
             f"its limit is {limits.torque[joint]:.4g} N m",
             joint=names[joint],
             cause="static torque exceeds the limit",
@@ -285,8 +287,8 @@ def _rows(profile: SpeedProfile, limits: Limits, period: float, window: int, fac
             raise OptionError(
                 "rate_hz",
                 round(1.0 / period, 9),
-                f"at most {MOST_ROWS:,} rows, where the motion lasts {duration:.4g} s and would have {rows:,.0f}: "
-                "a lower rate, or a higher speed",
+                f"at most {MOST_ROWS:,} samples, but the motion of {duration:.4g} s would have {rows:,.0f}: "
+                "use a lower rate or a higher speed",
             )
         steps = max(1, int(np.ceil(duration / period - 1e-9))) + window + 1
         # Sample i depends on control points i to i + window + 1. The first sample's control points all lie before the

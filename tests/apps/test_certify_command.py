@@ -89,7 +89,7 @@ def test_trajectory_that_was_changed_a_little(job, capsys):
     assert report["differs"] == ["trajectory"]
     assert report["certificate"]["verified"]
     assert cli.main(["certify", str(job)]) == 5
-    assert "trajectory is not the one of report.json" in capsys.readouterr().out
+    assert "trajectory is not that of report.json" in capsys.readouterr().out
     assert said(capsys, job / "trajectory.csv")[0] == 0
 
 

@@ -110,7 +110,7 @@ def test_straight_lines_have_jumps_of_velocity(robot: Robot) -> None:
     assert "velocity reaches" in " ".join(hplan.certify(robot, scene, fast, velocity_jumps=True).violations)
     with pytest.raises(OptionError, match="velocity_jumps"):
         hplan.certify(robot, scene, replace(motion, interpolation="cubic"), velocity_jumps=True)
-    with pytest.raises(InputError, match="linear between its rows"):
+    with pytest.raises(InputError, match="linear between its samples"):
         motion.stop_at(0.3, robot)
     with pytest.raises(InputError, match="they must be the same"):
         joined([motion, replace(motion.reversed, interpolation="cubic", velocity=0.0 * motion.velocity)])

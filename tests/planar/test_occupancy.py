@@ -311,5 +311,5 @@ def test_forbidden_interval_between_any_two_nodes(first, last):
 
 
 def test_grid_of_another_arm_is_refused(robot, scene):
-    with pytest.raises(InputError, match="the arm has 3 links, the grid 2 axes and the sections are for 3 links"):
+    with pytest.raises(InputError, match="the arm has 3 links, the grid has 2 axes, and the sections are for 3 links"):
         occupancy(robot.arm, arm_sections(robot, scene.solids), Grid.over([0, 0], [1, 1], 0.1))

@@ -311,13 +311,13 @@ def test_files(write):
     assert cell.arm("right").drop_off.position == cell.arm("right").scene.goal.position
     assert (cell.arm("left").drop_off, cell.arm("right").every) == (None, 1)
     assert plan_cell(cell).certificate.verified
-    with pytest.raises(SceneError, match="several robots: load_cell reads it"):
+    with pytest.raises(SceneError, match="several robots: read it with load_cell"):
         load_scene(write("same.yaml", YAML))
     with pytest.raises(SceneError, match=r"robots: .*missing"):
         load_cell(write("one.yaml", "format: hplan-scene/1\nname: s\n"))
     with pytest.raises(SceneError, match=r"line 7, robots\[1\].name"):
         load_cell(write("names.yaml", YAML.replace("name: right", "name: left")))
-    with pytest.raises(SceneError, match=r"robots\[1\].drop_off.fruit: fruit is let go"):
+    with pytest.raises(SceneError, match=r"robots\[1\].drop_off.fruit: a drop-off is given by joints"):
         load_cell(write("drop.yaml", YAML.replace("drop_off: {position: [2.0, 0.3, 1.2]}", "drop_off: {fruit: a}")))
     with pytest.raises(SceneError, match=r"robots\[0\].goal"):
         load_cell(write("goal.yaml", YAML.replace("goal: {joints_deg: [40, 60, 60, 60]}", "goal: {fruit: none}")))
@@ -325,7 +325,7 @@ def test_files(write):
 
 def test_wrong_values(robot):
     cell = facing(robot, 3.0)
-    with pytest.raises(InputError, match="there is none for 'right'"):
+    with pytest.raises(InputError, match="there is no robot for arm 'right'"):
         Cell.of(cell.scene, {"left": robot})
     with pytest.raises(OptionError, match="cell"):
         plan_cell(cell.scene)

@@ -46,7 +46,6 @@ def test_proof_of_no_path_comes_before_any_tree(
     options: PlanOptions, robot: Robot, closed: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(path_finder, "tree_path", no_search)
-    monkeypatch.setattr(path_finder, "promising_paths", no_search)
     with pytest.raises(NoPathError) as caught:
         hplan.plan(robot, closed, options)
     assert caught.value.reached_cells == 40677

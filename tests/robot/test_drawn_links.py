@@ -161,7 +161,7 @@ def test_oversized_shapes_are_reported_and_cover(meshes):
     drawn = body("visual", mesh(meshes / "block.stl"))
     robot, found = loaded(arm({3: drawn + body("collision", mesh(meshes / "in_mm.stl"))}))
     assert robot.uncovered_links == ()
-    assert "0.274 m across as drawn, but its collision shape 274 m" in str(found[0].message)
+    assert "0.274 m across as drawn, but its collision shape is 274 m" in str(found[0].message)
 
 
 def test_empty_collision_meshes_are_refused_or_built_anew(meshes):
@@ -222,7 +222,7 @@ def test_certificate_report_and_page_name_uncovered_shapes():
     report = certificate_report(again, hplan.PlanOptions(), scene)
     assert report["uncovered_links"] == ["l3"]
     assert result.report["certificate"]["uncovered_links"] == ["l3"]
-    assert "not covered, as drawn without a fitting collision shape: l3" in certificate_words(again)[1]
+    assert "not covered, because drawn without a matching collision shape: l3" in certificate_words(again)[1]
     # With shapes from the visual the same motion is refused.
     covered, _ = loaded(arm({3: SEEN}), collision_from_visual=True, allow_neighbours=True)
     refused = hplan.certify(covered, scene, result.trajectory)

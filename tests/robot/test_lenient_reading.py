@@ -55,12 +55,12 @@ def told(source: Path | str, **options: object) -> list[str]:
 HARMLESS = {
     "a second material": (
         ("<collision>", DRAWN.format('<material name="grey"/><material name="red"/>') + "<collision>"),
-        "link 'elbow_link': a second <material> in <visual>; only one would count; it is left out",
+        "link 'elbow_link': a second <material> in <visual>; one of them would be ignored; it is left out",
     ),
-    "a material of a link": (("<collision>", '<material name="grey"/><collision>'), "<material> in <link> means"),
+    "a material of a link": (("<collision>", '<material name="grey"/><collision>'), "<material> in <link> has no"),
     "a visual of no size": (
         ("<collision>", '<visual><geometry><box size="0 0,1 0"/></geometry></visual><collision>'),
-        "size of <box> is '0 0,1 0', expected 3 finite numbers with spaces between; the <visual> is left out",
+        "size of <box> is '0 0,1 0', expected 3 finite numbers separated by spaces; the <visual> is left out",
     ),
     "an inertia off by 0.7 %": (
         (INERTIA, INERTIA.replace('izz="0.01"', 'izz="0.0403"')), "larger than the sum of the others; they count"
@@ -111,8 +111,9 @@ def test_all_faults_are_reported_together(tmp_path):
         load_robot(write(tmp_path, text), tool_frame="tool0")
     faults = caught.value.faults
     for part in (
-        "<colision> in <link> means nothing", "'shoulder_pan': <limit> has no effort; a limits file may give it (hplan",
-        "'shoulder_pan': velocity of <limit> is '0', expected a finite number that is positive; a limits file may give",
+        "<colision> in <link> has no meaning",
+        "'shoulder_pan': <limit> has no effort; a limits file may give it (hplan",
+        "'shoulder_pan': velocity of <limit> is '0', expected a positive finite number; a limits file may give",
         "'shoulder_lift': velocity of <limit> is '0'", "value of <mass> is '2,5'", "frame 'tool0': it marks the end",
         "it has no acceleration limits",
     ):  # fmt: skip
@@ -150,7 +151,7 @@ def test_the_only_frame_at_the_end_is_the_tool_frame():
     gripped = text.replace("</robot>", f"{fingers}</robot>")
     robot = quiet(gripped)
     assert (robot.tool_frame, robot.dof) == ("tcp", 6)
-    with pytest.raises(RobotFileError, match=r"takes another frame, such as 'wrist_3_link'"):
+    with pytest.raises(RobotFileError, match=r"selects another frame, for example 'wrist_3_link'"):
         load_robot(gripped.replace('<link name="tcp"/>', "").replace('<child link="tcp"/>', '<child link="f3"/>')
                    .replace("</robot>", '<link name="f3"><collision><geometry><sphere radius="0.01"/></geometry>'
                             "</collision></link></robot>"))  # fmt: skip

@@ -177,7 +177,7 @@ def test_two_studies_do_not_write_to_one_file(file: Path, monkeypatch: pytest.Mo
         ("shoulder_height: [0.6, 0.8]", "shoulder_height: [-1]", 6, "expected greater than 0"),
         ("shoulder_height:", "shoulder:", 6, "shoulder"),
         ("start_deg: [0, 90, 90, 90]", "start_deg: [0, 90]", 6, "start"),
-        ("tree*.csv", "bush*.csv", 7, "no file"),
+        ("tree*.csv", "bush*.csv", 7, "there is no file"),
         ("distances: [1.2, 1.5]", "distances: []", 8, "at least 1"),
         ("wood:", "leaves:", 10, "unknown key"),
         ("{name: tall", "{robot: ur5, name: tall", 6, "varied"),
@@ -207,6 +207,6 @@ def test_wrong_studies(make: Callable[[], Any]) -> None:
 
 
 def test_file_of_something_else_is_left_alone(file: Path) -> None:
-    with pytest.raises(HplanError, match="no rows of a study"):
+    with pytest.raises(HplanError, match="not the table of a study"):
         run_study(file, file.parent / "tree.csv", workers=1)
     assert (file.parent / "tree.csv").read_text() == TREE

@@ -109,4 +109,4 @@ def test_command_plans_a_tour_with_a_pose_to_drop_at(
     assert (out / "scene.html").stat().st_size > 100_000
     assert main([*arguments, "--drop-off-pose", "0", "0", "1", "0", "0", "0", "5"]) == 2
     assert main([*arguments, "--drop-off", "0", "0", "1", "--drop-off-pose", *pose]) == 2
-    assert "none with --drop-off" in capsys.readouterr().err
+    assert "no value with --drop-off" in capsys.readouterr().err

@@ -72,7 +72,7 @@ _OF_ONE_ROBOT = (
         "csv",
     ),
 )
-_REFUSED = "none: the scene has several robots, with their own"
+_REFUSED = "no value: the scene has several robots, each with its own"
 
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tour: bool = False) -> int:
@@ -169,7 +169,7 @@ def _may_touch(pairs: Sequence[tuple[ArmLink, ArmLink]]) -> Iterator[tuple[str, 
     """Summary row of the link pairs that the scene exempts from checking."""
     if pairs:
         named = (" and ".join(f"{arm} {link!r}" for arm, link in pair) for pair in pairs)
-        yield "may touch", escape("; ".join(named)) + ": not checked, as the scene says"
+        yield "may touch", escape("; ".join(named)) + ": not checked, as declared in the scene"
 
 
 def _facts(result: CellResult | CellTour, milliseconds: float, files: str) -> Iterator[tuple[str, str]]:
@@ -179,7 +179,7 @@ def _facts(result: CellResult | CellTour, milliseconds: float, files: str) -> It
     if isinstance(result, CellResult):
         yield "motion", f"[bold]{report['makespan_s']:.3f} s[/], {result.how}"
         alone = ", ".join(f"{escape(name)} {seconds:.3f} s" for name, seconds in report["alone_s"].items())
-        yield "alone", f"{alone}; one after the other {report['one_after_the_other_s']:.3f} s"
+        yield "alone", f"{alone}; in sequence {report['one_after_the_other_s']:.3f} s"
         if any(result.later_s.values()):
             later = (f"{escape(name)} by {later:.2f} s" for name, later in result.later_s.items() if later)
             yield "later", ", ".join(later)
@@ -192,13 +192,13 @@ def _facts(result: CellResult | CellTour, milliseconds: float, files: str) -> It
             yield "not picked", escape(f"{fruit}: {reason}")
     distances = {"between arms": report["between_arms_mm"], **report.get("arms_mm", {})}
     shown = (
-        f"{escape(name)} {'nothing near' if d is None else f'{at_least_mm(1e-3 * d)} mm'}"
+        f"{escape(name)} {'no obstacles near' if d is None else f'{at_least_mm(1e-3 * d)} mm'}"
         for name, d in distances.items()
     )
-    yield "clearance", ", ".join(shown) + " or more, shown for all times"
+    yield "clearance", ", ".join(shown) + " or more, proved for all times"
     yield "certificate", certificate_words(report["verified"])
     between = result.certificate.between if isinstance(result, CellResult) else result.between
     yield from uncovered_rows(between.uncovered_links)
     yield from _may_touch(result.cell.scene.may_touch)
-    yield "time", f"[bold]{milliseconds:,.0f} ms[/], loading of compiled code included"
+    yield "time", f"[bold]{milliseconds:,.0f} ms[/], including the loading of compiled code"
     yield "files", escape(files)

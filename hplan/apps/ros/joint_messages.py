@@ -67,10 +67,10 @@ def to_joint_trajectory(
         raise OptionError(
             "stamp_s",
             stamp_s,
-            "the time of the first row by the controller's clock, such as the result's begins_s, and not 0, which is "
-            "the time of receipt: the motion takes over from a running one, and a controller that begins it on receipt "
-            "would send the arm back. Of a motion that began at 0, send trajectory.since(row) with the time of that "
-            "row",
+            "the time of the first sample on the controller's clock, such as the result's begins_s, and not 0, the "
+            "time of receipt: the motion takes over from a running one, and a controller that begins it on receipt "
+            "would send the arm back. For a motion that began at 0, send trajectory.since(row) with the time of that "
+            "sample",
         )
     header = _header(frame_id, stamp_ns)
     given = (*_FIELDS_OF[trajectory.interpolation], *(["effort"] if truth("effort", effort) else []))
@@ -79,7 +79,7 @@ def to_joint_trajectory(
     times = [time_ns("time", time) for time in trajectory.time.tolist()]
     for row, (first, second) in enumerate(pairwise(times), start=1):
         if first == second:
-            raise InputError(f"row {row} of the trajectory comes within a nanosecond of the one before it", row=row)
+            raise InputError(f"sample {row} of the trajectory is within a nanosecond of the one before it", row=row)
     rows = zip(*(getattr(trajectory, name).tolist() for name in fields.values()), strict=True)
     return {
         "header": header,
@@ -222,7 +222,7 @@ def _curve_of(given: Set[str], interpolation: Interpolation | None) -> Interpola
         return interpolation
     if "accelerations" in given and "velocities" not in given:
         raise InputError(
-            "points have accelerations but no velocities: joint_trajectory_controller runs no curve of those"
+            "points have accelerations but no velocities: joint_trajectory_controller cannot interpolate them"
         )
     curves: tuple[Interpolation, ...] = ("quintic", "cubic", "linear")
     return next(curve for curve in curves if set(_FIELDS_OF[curve]) <= given | {"positions"})

@@ -106,7 +106,7 @@ class _SceneText:
             if not name or name in _REFUSED:
                 raise self._fault(_REFUSED.get(name, "the object has no name"))
             if name in seen:
-                raise self._fault(f"object {name!r} stands on line {seen[name]} already")
+                raise self._fault(f"object {name!r} is already on line {seen[name]}")
             seen[name] = self._line
             place = base * self._pose() if self._has_poses else base
             count = self._count("the number of shapes")

@@ -23,8 +23,8 @@ OpenMeshes: TypeAlias = Literal["refuse", "hull"]
 SIZES: Final = {"sphere": 1, "box": 3, "cylinder": 2, "cone": 2}
 
 #: Reasons why planes and octomaps are refused.
-NO_PLANE: Final = "a plane has no end; put a box in its place"
-NO_OCTOMAP: Final = "an octomap cannot be read; give its points as a point cloud"
+NO_PLANE: Final = "a plane is infinite; replace it by a box"
+NO_OCTOMAP: Final = "octomaps are not supported; give the points as a point cloud"
 
 
 def planning_frame(position: Sequence[float], rpy_deg: Sequence[float], prefix: str, open_meshes: str) -> pin.SE3:

@@ -232,9 +232,7 @@ class _Adaptation:
         candidates, is_only = tool_frames(self._urdf)
         if self._choice.guesses_tool and is_only:
             self.tool_frame = candidates[0]
-            taken = (
-                f"{candidates[0]!r} is taken, the only candidate; tool_frame=NAME (--tool-frame NAME) selects another"
-            )
+            taken = f"{candidates[0]!r} is taken, the only one; tool_frame=NAME (--tool-frame NAME) selects another"
             self._faults.mend(f"there is no frame {frame!r} at the end of the arm; {taken}")
             return candidates[0]
         reason = f"it marks the end of the arm and is missing; the links are {', '.join(self._urdf.links)}; "

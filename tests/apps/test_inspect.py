@@ -39,7 +39,7 @@ def test_from_a_faulty_file_to_an_arm_that_loads(tmp_path, capsys):
     assert "5 faults" in shown
     for part in (
         "velocity of <limit> is '0'", "effort of <limit> is '0'", "value of <mass> is '2,5'", "'2.5'",
-        "xzy of <origin> means nothing", "it has no acceleration limits", "is called xyz now",
+        "xzy of <origin> has no meaning", "it has no acceleration limits", "is called xyz now",
         f"written: {tmp_path}/mended.urdf",
     ):  # fmt: skip
         assert part in shown, part

@@ -29,9 +29,8 @@ if TYPE_CHECKING:
     from hplan.study.definition import Study
     from hplan.study.run import StudyResult, run_study
     from hplan.tour.cell_tour import CellTour, plan_cell_tour
-    from hplan.tour.result import TourResult
     from hplan.tour.row import RowOptions, RowResult, plan_row
-    from hplan.tour.tour import TourOptions, plan_tour
+    from hplan.tour.tour import TourOptions, TourResult, plan_tour
     from hplan.trajectory.trajectory import Trajectory, read_csv, write_csv
     from hplan.workcell.cell import Cell, CellResult, certify_cell, load_cell
     from hplan.workcell.planner import plan_cell, replan_cell
@@ -105,9 +104,8 @@ __getattr__ = lazy_names(
         "hplan.study.definition": "Study",
         "hplan.study.run": "StudyResult run_study",
         "hplan.tour.cell_tour": "CellTour plan_cell_tour",
-        "hplan.tour.result": "TourResult",
         "hplan.tour.row": "RowOptions RowResult plan_row",
-        "hplan.tour.tour": "TourOptions plan_tour",
+        "hplan.tour.tour": "TourOptions TourResult plan_tour",
         "hplan.trajectory.trajectory": "Trajectory read_csv write_csv",
     },
 )

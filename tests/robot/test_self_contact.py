@@ -1,4 +1,4 @@
-"""Which parts of an arm can touch, and that C-space, distances, judge and certificate all know it; truth is coal's."""
+"""Parts of an arm that can touch: C-space, distances, checker and certificate against coal."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from hplan.certificate.certificate import certify
 from hplan.certificate.motion_bound import motion_of_movers
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
-from hplan.collision.flat_bodies import BODIES, INNER, OUTER
 from hplan.planar.grid.grid import Grid
 from hplan.planar.grid.occupancy import occupancy
 from hplan.planning.options import PlanOptions
@@ -29,7 +28,7 @@ from hplan.robot.model import Robot
 from hplan.robot.self_contact import radius_in_plane, self_contact
 from hplan.scene.obstacles import Sphere
 
-#: A section of what carries the arm stands out by no more than this [m].
+#: Maximum protrusion of the section of a body that carries the arm [m].
 STANDS_OUT = 2.5e-3
 
 #: Where signed distances are this near to zero, either side may call it contact [m].
@@ -49,7 +48,7 @@ def wide(tmp_path_factory) -> Robot:
 
 
 class Truth:
-    """Coal, asked without hplan: capsule links, and what carries the arm as the URDF gives it."""
+    """Distances by coal without hplan: capsule links, and the bodies of the URDF that carry the arm."""
 
     def __init__(self, robot: Robot) -> None:
         self.robot, self.data = robot, robot.model.createData()
@@ -62,7 +61,7 @@ class Truth:
         self.base = {str(number): g for number, g in shapes if g.parentJoint < self.moving}
 
     def distances(self, q):
-        """By (link, other): a link's number, or that of a shape of the base as a text; what joins them left out."""
+        """By (link, other): numbers of links, or of a shape of the base as a text, without adjacent parts."""
         robot, data = self.robot, self.data
         pin.forwardKinematics(robot.model, data, np.asarray(q, dtype=float))
         axes = link_axes(robot, q)
@@ -147,7 +146,7 @@ def test_pairs_are_those_that_sampling_finds(tmp_path):
 
 
 def test_turret_turns_about_yaw_axis(tmp_path):
-    """An axle that carries a shoulder beside the axis, as Pinocchio turns it."""
+    """An axle that carries a shoulder off the axis, as Pinocchio turns it."""
     robot = arm_of(tmp_path, 0.0, 90.0, yaw_axis=(0.7, -0.5), shoulder_offset=0.4)
     (axle,) = turning_shapes(robot)
     assert axle.radius == pytest.approx(math.hypot(0.4, 0.8 * 0.05), rel=2e-3)
@@ -225,7 +224,7 @@ def test_four_links_in_the_cspace_are_exact(tmp_path, lengths):
 def own_clearances(robot, field, truth, q, found):
     """Distances of the arm's own pairs as coal has them, and as they were found."""
     bodies, distances = self_contact(robot).bodies, truth.distances(q)
-    pairs = field.movers[int(field.numbers[BODIES]) :, [OUTER, INNER]].astype(int).tolist()
+    pairs = field.arm.pairs[["outer", "inner"]].tolist()
     links = robot.arm.link_count
     other = [inner if inner < links else str(bodies[inner - links].number) for _, inner in pairs]
     expected = np.array([distances[outer, inner] for (outer, _), inner in zip(pairs, other, strict=True)])
@@ -313,7 +312,7 @@ def test_judge_against_coal(tmp_path):
     ],
 )
 def test_bounds_contain_motion_of_points(tmp_path, has_yaw, offsets):
-    """Ends of links' axes, and of those that a pair has beyond a joint, as seen from the other part of the pair."""
+    """Ends of links' axes, and of a pair's axes beyond a joint, as seen from the other part of the pair."""
     lengths = (0.6, 0.5, 0.4, 0.3)
     robot = arm_of(tmp_path, -150, 150, lengths=lengths, widths=(0.04,) * 4, has_yaw=has_yaw, height=0.4, **offsets)
     rng, checker, data = np.random.default_rng(31), CoalScene(robot, []), robot.model.createData()
@@ -384,7 +383,7 @@ def test_fold_is_refused_and_named(wide):
     assert "link 'hand' comes to" in violation
     assert "of link 'upper_arm'" in violation
     assert (certificate.nearest.link, certificate.nearest.obstacle) == ("hand", "upper_arm")
-    # Not as far, and it is shown; the yaw takes nothing from what links have to spare, the tracking error does.
+    # A smaller fold is certified; the yaw takes nothing from the clearance of links, the tracking error does.
     nearly = np.radians([90.0, 0.0, 120.0, 100.0])
     spare = Truth(wide).clearance(nearly)
     assert 0.02 < spare < 0.2

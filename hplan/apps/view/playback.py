@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hplan.planning.result import PlanResult
     from hplan.scene.model import Scene
     from hplan.tour.cell_tour import CellTour
-    from hplan.tour.result import TourResult
+    from hplan.tour.tour import TourResult
     from hplan.workcell.cell import CellResult
 
     #: Results that have a motion to visualize.

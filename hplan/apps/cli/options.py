@@ -31,7 +31,10 @@ OUT = Path("out")
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser whose error about an unknown option names the one with the most similar spelling."""
+    """Parser whose error about an unknown option names the nearest.
+
+    The option with the most similar spelling.
+    """
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse the arguments, and refuse unknown ones."""

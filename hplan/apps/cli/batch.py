@@ -48,8 +48,8 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add("--method", choices=("two-level", "dense"), default="two-level", help="grid search (default: two-level)")
     add("--objective", choices=("duration", "length"), default="duration", help="cost to minimize (default: duration)")
     add_shared(parser, "effort", "seed")
-    add("--link-model", choices=("capsule", "paper", "rectangle"), default="capsule", help="shape of the links in the grid search "
-        "(default: capsule)")  # fmt: skip
+    add("--link-model", choices=("capsule", "paper", "rectangle"), default="capsule", help="shape of the links "
+        "in the grid search (default: capsule)")  # fmt: skip
     add(
         "--step",
         dest="step_deg",

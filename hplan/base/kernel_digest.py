@@ -162,11 +162,7 @@ class _Parts:
             self.own += b"%d:" % len(data) + data
 
     def add(self, value: Any) -> None:
-        """Add a value.
-
-        Raises:
-            UnknownDependencyError: The value is of unknown kind.
-        """
+        """Add a value."""
         kind = type(value)
         self._write(kind.__module__, kind.__qualname__)
         if kind in _WRITTEN_OUT:

@@ -289,9 +289,6 @@ class Planner:
         """Start time of a motion [s]; NaN if unknown.
 
         On the controller's clock.
-
-        Raises:
-            OptionError: `begins_s` is not a time, or is missing although something moves.
         """
         expected = "a time on the controller's clock in seconds"
         if begins_s is not None:
@@ -490,9 +487,6 @@ class Planner:
         """Obstacle that closes off unknown space; None if all is known.
 
         It includes the given frame.
-
-        Raises:
-            OptionError: The base moves; or the voxels are far too small.
         """
         if frame.base_track is not None or frame.joints is None:
             raise OptionError("unknown", "solid", "'free' if the base moves")

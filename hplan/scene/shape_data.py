@@ -243,9 +243,6 @@ def _read_xyz(content: bytes, name: str) -> FloatArray:
 
     All rows must have the same number of columns. trimesh treats commas as blanks, so it would read a number with a
     decimal comma as two numbers.
-
-    Raises:
-        ValueError: A row has another number of columns or fewer than three, or a word is not a number.
     """
     comments = ["#", *(["//"] if b"//" in content else [])]
     try:
@@ -279,10 +276,6 @@ def _check_ply_rows(content: bytes, name: str) -> None:
 
     trimesh truncates rows that are too long, reads a file that ends early as a smaller one, and reads text as binary
     numbers if the second line is not the format.
-
-    Raises:
-        ValueError: The number of rows is wrong, a vertex row has a wrong length (names its number after the header), or
-            the second line is not the format.
     """
     head, mark, body = content.partition(b"end_header")
     words = [line.split() for line in head.decode("latin-1").splitlines()]
@@ -316,9 +309,6 @@ def _check_corners(content: bytes, name: str) -> None:
     """Refuse an OBJ or ASCII STL file with uneven vertex rows.
 
     trimesh reads such rows as one list of numbers, so a coordinate may move to another vertex.
-
-    Raises:
-        ValueError: A vertex row has another length than the first; names its line.
     """
     if b"\0" in content[:1000]:  # a binary file has no rows
         return

@@ -37,8 +37,7 @@ from hplan.planning.world import without_inside
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacles import Capsule
-from hplan.tour.result import TourResult
-from hplan.tour.tour import TourOptions, plan_tour
+from hplan.tour.tour import TourOptions, TourResult, plan_tour
 
 
 def within_reach(robot: Robot, scene: Scene) -> Scene:
@@ -369,12 +368,7 @@ def plan_row(
 
 
 def _check(scene: Scene, options: PlanOptions, row: RowOptions) -> None:
-    """Check the scene and the options for tree rows.
-
-    Raises:
-        OptionError: A deadline is given, a carried obstacle does not exist, or the scene has no fruit.
-        MovingObstacleError: The scene has moving obstacles.
-    """
+    """Check the scene and the options for tree rows."""
     if options.deadline_s is not None:
         raise OptionError("deadline_s", options.deadline_s, "None: rows have no deadline")
     if scene.moves:

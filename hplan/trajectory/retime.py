@@ -121,11 +121,7 @@ def resting(model: pin.Model, q: FloatArray) -> Trajectory:
 def _check_limits(
     path: GeometricPath, dynamics: InverseDynamics, limits: Limits, grid: FloatArray, names: tuple[str, ...]
 ) -> None:
-    """Name the joint and the cause, because toppra reports only infeasibility.
-
-    Raises:
-        TimingError: A moving joint has a limit of zero, or gravity alone exceeds a torque limit.
-    """
+    """Name the joint and the cause, because toppra reports only infeasibility."""
     moves = np.abs(path.evaluate(grid, 1)).max(axis=0) > 1e-9
     for what, values in (
         ("velocity", limits.velocity),
@@ -200,9 +196,6 @@ def _sample(
     """Sample the trajectory, slowed down as required by the torque limits.
 
     Torque is not a linear function of the motion, so the time-scaling factor is found iteratively.
-
-    Raises:
-        TimingError: No time-scaling factor satisfies the torque limits.
     """
     factor = 1.0
     for _ in range(_MOST_SLOWINGS):
@@ -275,10 +268,6 @@ def _rows(profile: SpeedProfile, limits: Limits, period: float, window: int, fac
 
     See the module's text. Between grid points velocity and acceleration exceed their limits slightly, which slows the
     motion down.
-
-    Raises:
-        OptionError: The motion needs more than `MOST_ROWS` samples.
-        TimingError: No time-scaling factor satisfies the limits.
     """
     for _ in range(_MOST_SLOWINGS):
         duration = profile.arrival[-1] * factor

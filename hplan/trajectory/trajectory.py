@@ -413,11 +413,7 @@ def _parted(
 
 
 def _check_kinds(trajectory: Trajectory, robot: Robot) -> None:
-    """Check that a trajectory consists of cubics and has a robot's joints.
-
-    Raises:
-        InputError: Its joints are not the robot's, or its segments are not cubics.
-    """
+    """Check that a trajectory consists of cubics and has a robot's joints."""
     instance("trajectory", trajectory, Trajectory, "plan or read_csv")
     instance("robot", robot, Robot, "load_robot")
     check_joints(trajectory, robot)

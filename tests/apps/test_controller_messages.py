@@ -173,7 +173,7 @@ def assert_does_not_jump(
         assert (off <= 1e-6 + 1e-18 * cycle_ns**2 * robot.acceleration_limit).all()
 
 
-@pytest.mark.parametrize("now", [100.2, 100.4, 100.6])
+@pytest.mark.parametrize("now", [100.0, 100.2, 100.4, 100.6])
 def test_motion_that_takes_over_needs_stamp_and_does_not_jump(robot: Robot, now: float, swing: PlanResult) -> None:
     for motion, begins_s in handed_out(robot, now).values():
         for send in (to_joint_trajectory, lambda each: write_joint_trajectory(each, Path("never.yaml"))):

@@ -213,7 +213,7 @@ def test_locked_joints_keep_their_values(variants, name, locked):
         assert nearest(reach(robot, position, start=start, locked=names, approach_deg=angle), q) < 1e-6
 
 
-@pytest.mark.parametrize("name", ["plane beside the yaw axis", "links beside each other, off the axis"])
+@pytest.mark.parametrize("name", ["plane off the yaw axis", "links next to each other, off the axis"])
 def test_points_nearer_to_the_yaw_axis_than_the_plane(variants, name):
     """Just outside there are two yaws, with the point ahead and behind.
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import planned
 import pytest
+from planar_sections import sampled_occupancy
 from planned import assert_sound
 from scipy.stats import chi
-from studies.planar_cspace import sampled_occupancy
 
 import hplan
 from hplan.collision.coal_scene import CoalScene

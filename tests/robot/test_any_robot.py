@@ -131,7 +131,7 @@ def test_srdf(tmp_path):
 
 
 def test_missing_tool_frame_is_reported_before_its_joints():
-    """Without it there is no chain, and mimicking fingers would seem to be joints of the arm."""
+    """Without it the chain is missing, and mimicking fingers would seem to be joints of the arm."""
     finger = '<joint name="finger" type="revolute"><parent link="base_link"/><child link="finger_link"/>'
     limit = '<axis xyz="0 0 1"/><limit lower="0" upper="1" velocity="1" effort="1"/>'
     mimics = f'{finger}{limit}<mimic joint="wrist"/></joint><link name="finger_link"/></robot>'

@@ -18,10 +18,10 @@ from hplan.apps.view.page import certificate_words
 from hplan.base.data_files import robot_names, shipped_robots
 from hplan.certificate.digests import robot_digest
 from hplan.errors import MissingVisualWarning, RobotFileError, UncoveredLinkWarning
-from hplan.planning.cell import load_cell
 from hplan.planning.report import certificate_report
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
+from hplan.workcell.cell import load_cell
 
 HERE, THERE, ON_THE_WAY = (0.0, 0.4, 0.9, 0.3, 0.7, 0.0), (1.0, 0.4, 0.9, 0.3, 0.7, 0.0), (0.5, 0.4, 0.9, 0.3, 0.7, 0.0)
 TUBE = '<geometry><cylinder radius="0.1" length="0.3"/></geometry>'

@@ -16,7 +16,7 @@ from hplan.errors import InputError, MissingVisualWarning, RobotFileError, Robot
 from hplan.robot.model import Robot, load_robot
 
 ARM = six_axis_arm()
-#: The same arm without accelerations in a file beside it.
+#: The same arm without accelerations in a file next to it.
 WITH_ACCELERATIONS = ARM.replace('effort="150"', 'effort="150" acceleration="5"')
 ELBOW = '<link name="elbow_link">'
 INERTIA = '<inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/>'

@@ -97,10 +97,11 @@ def test_rows_stay_and_a_study_goes_on(file: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_row_of_a_real_tree_is_the_same_on_other_workers(file: Path) -> None:
-    study = load_study(file).model_copy(update={"distances": (1.2,), "turns_deg": (0.0,)})
+    study = load_study(file)
+    study = study.model_copy(update={"arms": study.arms[1:], "distances": (1.2,), "turns_deg": (0.0,)})
     here = run_study(study, workers=1)
     assert as_made_by_anyone(run_study(study, workers=2)) == as_made_by_anyone(here)
-    assert [(row.fruits, row.error) for row in here.rows] == [(4, "")] * 3
+    assert [(row.fruits, row.error) for row in here.rows] == [(4, "")] * 2
     assert all(1 <= row.picked <= 3 for row in here.rows)  # the fourth hangs 9 m high
 
 

@@ -21,8 +21,7 @@ from hplan.scene.file import save_scene
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Capsule
 from hplan.tour.motions import CARRIED, carrying
-from hplan.tour.result import TourResult
-from hplan.tour.tour import TourOptions, plan_tour
+from hplan.tour.tour import TourOptions, TourResult, plan_tour
 
 QUICK = PlanOptions(effort="quick")
 START = (0.0, 0.2, 1.2, -0.8, 0.0, 0.0)

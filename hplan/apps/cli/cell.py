@@ -38,9 +38,9 @@ from hplan.base.units import at_least_mm
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hplan.planning.cell import CellCertificate, CellResult
     from hplan.scene.cell import ArmLink
     from hplan.tour.cell_tour import CellTour
+    from hplan.workcell.cell import CellCertificate, CellResult
 
 #: Options that apply to a single robot only, and the error text if one of them is given.
 _OF_ONE_ROBOT = (
@@ -94,10 +94,10 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
     with progress_line(errors, quiet=arguments.quiet) as progress:
         progress("reading robots and scene")
         with loading():
-            from hplan.planning.cell import load_cell
-            from hplan.planning.cell_planner import plan_cell
             from hplan.planning.report import write_report
             from hplan.tour.cell_tour import plan_cell_tour
+            from hplan.workcell.cell import load_cell
+            from hplan.workcell.planner import plan_cell
         options = plan_options(arguments, *(option for option in OF_PLANS if hasattr(arguments, option)))
         cell = load_cell(arguments.scene)
         check_tracking(arguments, cell.robot)
@@ -125,10 +125,10 @@ def certify(arguments: argparse.Namespace, console: Console) -> int:
     """
     refuse(arguments, _OF_ONE_ROBOT, _REFUSED)
     with loading():
-        from hplan.planning.cell import certify_cell, load_cell, may_touch_report
         from hplan.planning.options import PlanOptions
         from hplan.planning.report import certificate_report, versions
         from hplan.trajectory.trajectory import read_csv
+        from hplan.workcell.cell import certify_cell, load_cell, may_touch_report
 
     cell, path, tracking = load_cell(arguments.scene), arguments.trajectory, tracking_of(arguments)
     check_tracking(arguments, cell.robot)
@@ -173,7 +173,7 @@ def _may_touch(pairs: Sequence[tuple[ArmLink, ArmLink]]) -> Iterator[tuple[str, 
 
 
 def _facts(result: CellResult | CellTour, milliseconds: float, files: str) -> Iterator[tuple[str, str]]:
-    from hplan.planning.cell import CellResult
+    from hplan.workcell.cell import CellResult
 
     report = result.report
     if isinstance(result, CellResult):

@@ -203,13 +203,7 @@ class JobFolder:
         self._others = frozenset(file.name for file in found if not is_own(file))
 
     def _check_replaced(self, name: str) -> None:
-        """Refuse to replace a file that is, or was, not hplan's.
-
-        The file is checked now, and was checked when the job began.
-
-        Raises:
-            OutputError: It is one.
-        """
+        """Refuse to replace a file that is, or was when the job began, not hplan's."""
         check_own(self.path / name, force=self._force)
         if name in self._others and not self._force:
             raise OutputError(self.path / name, NOT_OURS)

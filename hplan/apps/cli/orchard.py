@@ -143,11 +143,7 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
 
 
 def _made(arguments: argparse.Namespace, console: Console) -> Scene:
-    """Generate the scene of the arguments.
-
-    Raises:
-        OptionError: An unknown shipped scene, or options that have no effect together.
-    """
+    """Generate the scene of the arguments."""
     from hplan.scene.orchard import SHIPPED, FruitZone, MeasuredOptions, OrchardOptions, generate, measured_orchard
     from hplan.scene.orchard.options import REACHED
 

@@ -114,11 +114,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
 
 
 def _executor(address: str | None) -> Pool | None:
-    """Connect to Dask's executor; None without a scheduler address.
-
-    Raises:
-        InputError: Dask is not installed, or the scheduler cannot be reached.
-    """
+    """Connect to Dask's executor; None without a scheduler address."""
     if address is None:
         return None
     with extra("cluster", "--scheduler needs Dask"):

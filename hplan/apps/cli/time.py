@@ -219,11 +219,7 @@ def _timed(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def _limits(arguments: argparse.Namespace, model: pin.Model, held: Collection[str]) -> Limits:
-    """Limits of the URDF, with acceleration (and jerk) limits from options.
-
-    Raises:
-        OptionError: The acceleration limits are missing or invalid.
-    """
+    """Limits of the URDF, with acceleration (and jerk) limits from options."""
     from hplan.base.data_files import LIMITS_SUFFIX
     from hplan.robot.dynamics import joints_that_slide
     from hplan.robot.files import robot_files

@@ -30,8 +30,7 @@ from hplan.errors import OptionError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hplan.tour.result import Leg, TourResult
-    from hplan.tour.tour import TourOptions
+    from hplan.tour.tour import Leg, TourOptions, TourResult
 
 _EPILOG = """\
 Without a drop-off a picked fruit does not change the arm's shape. On the way to
@@ -147,11 +146,7 @@ def _made(
 
 
 def _tour_options(arguments: argparse.Namespace) -> TourOptions:
-    """Build the tour options from the arguments.
-
-    Raises:
-        OptionError: Several drop-offs, or one that is not a valid position, pose or configuration.
-    """
+    """Build the tour options from the arguments."""
     from hplan.scene.model import Goal
     from hplan.tour.tour import TourOptions
 

@@ -167,11 +167,7 @@ def compile_all(
 
 
 def _do(job: str) -> None:
-    """Run a job in this process and print each kernel it compiles.
-
-    Raises:
-        SystemExit: A command of the job failed.
-    """
+    """Run a job in this process and print each kernel it compiles."""
     from hplan.apps.cli.main import main
 
     LISTENERS.append(lambda kernel, _: print(f"{_COMPILED}{kernel}", file=sys.__stdout__, flush=True))

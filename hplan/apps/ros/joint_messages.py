@@ -286,11 +286,7 @@ def _text(option: str, value: str) -> str:
 
 
 def _list(message: Mapping[str, Any], key: str, kind: Any) -> tuple[Any, ...]:
-    """Return a non-empty list of a message.
-
-    Raises:
-        InputError: The key is missing, or its value is empty or not a list of `kind`.
-    """
+    """Return a non-empty list of a message."""
     if key not in message:
         raise InputError(f"the message has no {key}; expected a JointTrajectory", key=key)
     items = list_of(key, message[key], kind, "names" if kind is str else "points")
@@ -300,11 +296,7 @@ def _list(message: Mapping[str, Any], key: str, kind: Any) -> tuple[Any, ...]:
 
 
 def _order(names: Sequence[str], robot: Robot | None) -> list[int]:
-    """Index in the message of each of the robot's joints.
-
-    Raises:
-        InputError: The joints of the message are not the robot's.
-    """
+    """Index in the message of each of the robot's joints."""
     if robot is None:
         return list(range(len(names)))
     expected = instance("robot", robot, Robot, "load_robot").joint_names
@@ -318,11 +310,7 @@ def _order(names: Sequence[str], robot: Robot | None) -> list[int]:
 
 
 def _array(points: Sequence[Mapping[str, Any]], field: str, joints: int) -> FloatArray:
-    """(points, joints) values of one field.
-
-    Raises:
-        InputError: A point has another number of values, or a value is not a finite number.
-    """
+    """(points, joints) values of one field."""
     rows = []
     for index, point in enumerate(points):
         row = point.get(field, ())

@@ -151,11 +151,7 @@ class _Encoder:
         self._store = store
 
     def message(self, kind: str, content: Mapping[str, Any]) -> Any:
-        """Convert a dict to a message object of type `kind`.
-
-        Raises:
-            InputError: The dict has a field that the type lacks.
-        """
+        """Convert a dict to a message object of type `kind`."""
         fields = dict(self._store.fielddefs[kind][1])
         unknown = content.keys() - fields.keys()
         if unknown:

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
-from hplan.apps.ros.placed_shapes import NO_OCTOMAP, NO_PLANE, SIZES, OpenMeshes, mesh, planning_frame, pose, shape
+from hplan.apps.ros.moveit_scene import NO_OCTOMAP, NO_PLANE, SIZES, OpenMeshes, mesh, planning_frame, pose, shape
 from hplan.base.arguments import file_path, is_number, list_of
 from hplan.base.files import ByteBudget
 from hplan.base.yaml_text import read_yaml
@@ -455,11 +455,7 @@ def _obstacles(world: _World, base: pin.SE3, prefix: str, open_meshes: OpenMeshe
 def _placed(
     item: Mapping[str, Any], key: str, poses: str, where: str
 ) -> Iterator[tuple[Mapping[str, Any], pin.SE3, str]]:
-    """Shapes of one kind, their poses in the object's frame, their keys.
-
-    Raises:
-        SceneError: The numbers of shapes and poses differ, or a pose is malformed.
-    """
+    """Shapes of one kind, their poses in the object's frame, their keys."""
     shapes = sequence(or_else(item.get(key), ()), f"{where}.{key}")
     places = sequence(or_else(item.get(poses), ()), f"{where}.{poses}")
     if places and len(places) != len(shapes):

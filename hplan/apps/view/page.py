@@ -357,9 +357,6 @@ def _viewer_source() -> str:
     """Read meshcat's viewer, a JavaScript file.
 
     Meshcat itself is not imported, which would take 0.2 s.
-
-    Raises:
-        HplanError: meshcat is not installed.
     """
     found: Any = importlib.util.find_spec("meshcat")
     for folder in [] if found is None else found.submodule_search_locations:

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from hplan.certificate.certificate import Certificate
     from hplan.certificate.clearance_curve import ClearanceCurve
     from hplan.certificate.retimed_certificate import CertifiedMotion
-    from hplan.planning.cell import CellResult
     from hplan.planning.result import PlanResult
     from hplan.scene.model import Scene
     from hplan.tour.cell_tour import CellTour
-    from hplan.tour.result import TourResult
+    from hplan.tour.tour import TourResult
+    from hplan.workcell.cell import CellResult
 
     #: Results that have a motion to visualize.
     Shown: TypeAlias = PlanResult | CertifiedMotion | TourResult | CellResult | CellTour

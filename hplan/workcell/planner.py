@@ -36,16 +36,16 @@ from hplan.errors import (
     PlanCancelledError,
     TimingError,
 )
-from hplan.planning.cell import Cell, CellResult, How, between, certify_cell, check_options, standing
 from hplan.planning.finish import finish
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
 from hplan.planning.stages import Progress, no_progress
-from hplan.planning.timetable import SPARES, Timetable
 from hplan.planning.world import check_clear
 from hplan.scene.model import Goal, Scene
 from hplan.trajectory.trajectory import Trajectory, joined, stopped
+from hplan.workcell.cell import Cell, CellResult, How, between, certify_cell, check_options, standing
+from hplan.workcell.timetable import SPARES, Timetable
 
 #: Maximum number of orders to certify, fastest first.
 _TRIED: Final = 3

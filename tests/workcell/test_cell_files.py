@@ -13,9 +13,6 @@ import pytest
 from hplan import certify, load_robot, plan, read_csv, write_csv
 from hplan.apps.cli.main import main
 from hplan.errors import HplanError, InputError, OptionError, SceneError
-from hplan.planning import cell as cells
-from hplan.planning.cell import Cell, certify_between, certify_cell, load_cell
-from hplan.planning.cell_planner import plan_cell
 from hplan.planning.options import PlanOptions
 from hplan.scene.cell import CellRobot, CellScene
 from hplan.scene.model import Goal, Start
@@ -24,6 +21,9 @@ from hplan.scene.tracks import Track
 from hplan.tour.cell_tour import plan_cell_tour
 from hplan.trajectory.cubics import evaluate
 from hplan.trajectory.trajectory import Trajectory
+from hplan.workcell import cell as cells
+from hplan.workcell.cell import Cell, certify_between, certify_cell, load_cell
+from hplan.workcell.planner import plan_cell
 
 FROM, TO = (0.0, 60.0, 20.0, 20.0), (30.0, 60.0, 20.0, 20.0)
 QUICK = PlanOptions(effort="quick")

@@ -422,7 +422,8 @@ def load_robot(
         limits: Limits YAML, or the name of a robot whose limits ship with hplan, for example `ur5`; None for
             `NAME.limits.yaml` in the URDF's folder or, without that file, for acceleration and jerk in the URDF (1.2).
             Velocities and efforts in it take the place of the URDF's. MoveIt's `joint_limits.yaml` is read as well.
-        tool_frame: Frame at the end of the arm; None for the default of a robot loaded by name, else for `tool0`.
+        tool_frame: Frame at the end of the arm; None for the default of a robot loaded by name, else for `tool0` or,
+            without it, for the only frame without a body at the end of the arm.
         joints: Names of the moving joints in the robot's order, from the base on; None for all revolute, continuous and
             prismatic joints up to the tool frame that are not held.
         hold: Values of held joints [rad, m]. Other joints that do not move are held at 0, at the limit nearest to 0, or
@@ -513,6 +514,7 @@ def _read_robot(
         if isinstance(collision_from_visual, bool)
         else list_of("collision_from_visual", collision_from_visual, str, "names of links"),
         limits=given if given is not None or files.urdf == URDF_TEXT else _existing(default_limits(files.urdf)),
+        guesses_tool=tool_frame is None,
         xacro_args={name: str(value) for name, value in _mapping("xacro_args", xacro_args, "{name: value}").items()},
     )
     text = path if isinstance(path, str) and is_urdf_text(path) else None
@@ -528,6 +530,7 @@ def _read_robot(
         choice, root, adapted, models = _built(urdf_path, text, choice)
         faults = find_shape_faults(*models, undrawn)
     model, collision_model, visual_model = models
+    frame = adapted.tool_frame
     check_joints(urdf_path, model)
     joint_names = tuple(model.names)[1:]
     if choice.joints is not None and choice.joints != joint_names:

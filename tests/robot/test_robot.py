@@ -201,7 +201,11 @@ FAMILY_FAULTS = {
     ),
     "axis without direction": ([(AXIS, '<axis xyz="0 0 0"/>')], "joint 'shoulder': its axis has no direction"),
     "no tool frame": (
-        [('<child link="tool0"/>', '<child link="tcp"/>'), ('<link name="tool0"', '<link name="tcp"')],
+        [
+            ('<child link="tool0"/>', '<child link="tcp"/>'),
+            ('<link name="tool0"', '<link name="eye"/><joint name="mount" type="fixed"><parent link="hand"/>'
+             '<child link="eye"/></joint><link name="tcp"'),
+        ],
         "frame 'tool0': it marks the end of the arm and is missing",
     ),
     "link of no length": ([origin_of("hand", 'xyz="0 0 0"')], "link 'forearm': it has no length"),

@@ -48,6 +48,9 @@ from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, read_urdf_xml
 if TYPE_CHECKING:
     from hplan.scene.model import JointValues, Start
 
+#: Excess of a joint limit that is permitted at the start of a motion, as encoders and rounding cause it [rad or m].
+START_TOLERANCE = 1e-4
+
 _T = TypeVar("_T")
 _P = ParamSpec("_P")
 
@@ -333,7 +336,8 @@ class Robot(PlanarNames, Record):
 
         Raises:
             InputError: `q` is not a list of numbers, has the wrong number of joints, or has a value that is not finite.
-            JointLimitError: `q` exceeds the joint limits by more than 1e-9 rad or m; smaller excesses are clipped.
+            JointLimitError: `q` exceeds the joint limits by more than 1e-9 rad or m, as `start` by more than
+                `START_TOLERANCE`; smaller excesses are clipped.
         """
         expected = f"{which}: expected {self.dof} joint values ({', '.join(self.joint_names)})"
         try:
@@ -356,22 +360,23 @@ class Robot(PlanarNames, Record):
                 raise InputError(
                     f"{which}: joint {joint!r} is at {value}, expected a finite number", which=which, joint=joint
                 )
-        fault = self.limit_fault(values, which)
+        tolerance = START_TOLERANCE if which == "start" else 1e-9
+        fault = self.limit_fault(values, which, tolerance)
         if fault is not None:
             raise fault
         return readonly(np.clip(values, self.lower, self.upper))
 
-    def limit_fault(self, q: FloatArray, which: str) -> JointLimitError | None:
+    def limit_fault(self, q: FloatArray, which: str, tolerance: float = 1e-9) -> JointLimitError | None:
         """Error for the first joint outside its limits, or None.
 
-        The tolerance is 1e-9 rad or m. If the values would be within the limits when read as degrees, the error says
-        so.
+        If the values would be within the limits when read as degrees, the error says so.
 
         Args:
             q: (dof,) configuration.
             which: Name of the configuration, for the error.
+            tolerance: Excess that is permitted [rad or m].
         """
-        outside = ~((self.lower - 1e-9 <= q) & (q <= self.upper + 1e-9))
+        outside = ~((self.lower - tolerance <= q) & (q <= self.upper + tolerance))
         if not outside.any():
             return None
         first = int(outside.argmax())

@@ -404,6 +404,18 @@ def test_configuration_a_rounding_error_outside_is_clipped(robot):
     assert q.tolist() == [math.pi, HALF_PI, 0.0, 0.0]
 
 
+def test_a_start_a_little_outside_is_clipped(robot):
+    """Encoders and rounding report a joint at its limit as beyond it; a goal or waypoint is chosen within."""
+    reported = [math.pi + 9e-5, HALF_PI, -9e-5, 0.0]
+    assert robot.check_configuration(reported, "start").tolist() == [math.pi, HALF_PI, 0.0, 0.0]
+    with pytest.raises(JointLimitError, match=r"goal: joint 'base_yaw' is at 3\.14168 rad, outside .*3\.14159\] rad"):
+        robot.check_configuration(reported, "goal")
+    with pytest.raises(JointLimitError, match=r"at 3\.14159266 rad, outside .*, 3\.14159265\] rad"):
+        robot.check_configuration([math.pi + 1e-8, HALF_PI, 0.0, 0.0], "goal")
+    with pytest.raises(JointLimitError, match="start: joint 'base_yaw'"):
+        robot.check_configuration([math.pi + 2e-4, HALF_PI, 0.0, 0.0], "start")
+
+
 @pytest.mark.parametrize(("joint", "value"), [(0, 3.2), (1, -0.01), (3, 1.6)])
 def test_configuration_outside_the_limits(robot, joint, value):
     q = np.zeros(4)

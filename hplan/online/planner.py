@@ -639,10 +639,7 @@ class Planner:
             if cropped is None or obstacle is not cropped.cloud:
                 continue
             for lacks, what in (
-                (
-                    room_m > cropped.kept_m + _SAME_M,
-                    f"clearance and tracking errors of {cropped.kept_m:.4g} m in total",
-                ),
+                (room_m > cropped.kept_m + _SAME_M, f"clearance and tracking errors of {cropped.kept_m:.4g} m in all"),
                 (_route(scene.base_track) != _route(cropped.base_track), "another track of the base"),
             ):
                 if lacks:

@@ -12,12 +12,10 @@ from hplan.base.lazy_import import VIEWERS, declare_extension, lazy_names
 
 if TYPE_CHECKING:
     from hplan.certificate.certificate import Certificate, certify
+    from hplan.certificate.configuration_check import ConfigurationCheck, check
     from hplan.errors import HplanError
     from hplan.online.planner import Planner
     from hplan.online.warm_up import warm_up
-    from hplan.planning.cell import Cell, CellResult, certify_cell, load_cell
-    from hplan.planning.cell_planner import plan_cell, replan_cell
-    from hplan.planning.configuration_check import ConfigurationCheck, check
     from hplan.planning.finish import finish
     from hplan.planning.options import PlanOptions
     from hplan.planning.plan import plan
@@ -27,17 +25,20 @@ if TYPE_CHECKING:
     from hplan.robot.model import Robot, load_robot
     from hplan.scene.file import load_scene, save_scene
     from hplan.scene.model import Scene
+    from hplan.study.batch import BatchRow, run_batch
     from hplan.study.definition import Study
     from hplan.study.run import StudyResult, run_study
     from hplan.tour.cell_tour import CellTour, plan_cell_tour
-    from hplan.tour.result import TourResult
     from hplan.tour.row import RowOptions, RowResult, plan_row
-    from hplan.tour.tour import TourOptions, plan_tour
+    from hplan.tour.tour import TourOptions, TourResult, plan_tour
     from hplan.trajectory.trajectory import Trajectory, read_csv, write_csv
+    from hplan.workcell.cell import Cell, CellResult, certify_cell, load_cell
+    from hplan.workcell.planner import plan_cell, replan_cell
 
 __version__ = "0.2.0"
 
 __all__ = [
+    "BatchRow",
     "Cell",
     "CellResult",
     "CellTour",
@@ -73,6 +74,7 @@ __all__ = [
     "reachable",
     "read_csv",
     "replan_cell",
+    "run_batch",
     "run_study",
     "save_scene",
     "warm_up",
@@ -86,9 +88,9 @@ __getattr__ = lazy_names(
         "hplan.errors": "HplanError",
         "hplan.online.planner": "Planner",
         "hplan.online.warm_up": "warm_up",
-        "hplan.planning.cell": "Cell CellResult certify_cell load_cell",
-        "hplan.planning.cell_planner": "plan_cell replan_cell",
-        "hplan.planning.configuration_check": "ConfigurationCheck check",
+        "hplan.workcell.cell": "Cell CellResult certify_cell load_cell",
+        "hplan.workcell.planner": "plan_cell replan_cell",
+        "hplan.certificate.configuration_check": "ConfigurationCheck check",
         "hplan.planning.finish": "finish",
         "hplan.planning.options": "PlanOptions",
         "hplan.planning.plan": "plan",
@@ -98,12 +100,12 @@ __getattr__ = lazy_names(
         "hplan.robot.model": "Robot load_robot",
         "hplan.scene.file": "load_scene save_scene",
         "hplan.scene.model": "Scene",
+        "hplan.study.batch": "BatchRow run_batch",
         "hplan.study.definition": "Study",
         "hplan.study.run": "StudyResult run_study",
         "hplan.tour.cell_tour": "CellTour plan_cell_tour",
-        "hplan.tour.result": "TourResult",
         "hplan.tour.row": "RowOptions RowResult plan_row",
-        "hplan.tour.tour": "TourOptions plan_tour",
+        "hplan.tour.tour": "TourOptions TourResult plan_tour",
         "hplan.trajectory.trajectory": "Trajectory read_csv write_csv",
     },
 )

@@ -65,11 +65,11 @@ def _run(options: argparse.Namespace, console: Console, errors: Console) -> int:
     from studies.paper import measure
     from studies.paper.figures import figures
 
-    with progress_line(errors, quiet=False) as told:
-        numbers, evidence = measure.measure(report=told)
+    with progress_line(errors, quiet=False) as progress:
+        numbers, evidence = measure.measure(report=progress)
         contents: dict[str, bytes] = {}
         for name, draw in {} if options.no_figures else figures(numbers, evidence).items():
-            told(name)
+            progress(name)
             contents[name] = png_bytes(draw())
     text = measure.markdown(numbers)
     record = json.dumps(numbers.as_dict(), indent=2) + "\n"

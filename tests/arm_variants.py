@@ -35,8 +35,8 @@ VARIANTS: dict[str, tuple[bool, str, str, tuple[str, ...]]] = {
     "horizontal plane": (False, "0 0.1 0.4", "0 0 0.2", ("0 0 1", "0 0 -1", "0 0 1")),
     "horizontal plane from below": (False, "0 0 0.4", "3.141592653589793 0 0", ("0 0 1", "0 0 1")),
     "yaw axis off the origin": (True, "0.1 0 0.5", "0 0 0", (UP, UP, UP)),
-    "plane beside the yaw axis": (True, "-0.05 0.22 0.5", "0 0 0.4", (UP, DOWN, UP)),
-    "links beside each other, off the axis": (True, "0.1 -0.15 0.5", "0 0 0", (DOWN, UP, UP)),
+    "plane off the yaw axis": (True, "-0.05 0.22 0.5", "0 0 0.4", (UP, DOWN, UP)),
+    "links next to each other, off the axis": (True, "0.1 -0.15 0.5", "0 0 0", (DOWN, UP, UP)),
     "links beside each other, no yaw": (False, "0.2 -0.3 0.4", "0 0 0.5", (UP, DOWN)),
 }
 
@@ -44,8 +44,8 @@ VARIANTS: dict[str, tuple[bool, str, str, tuple[str, ...]]] = {
 #: offset of each link's body from its joint.
 OFFSETS: dict[str, tuple[str, tuple[float, ...], tuple[float, ...]]] = {
     "yaw axis off the origin": ("0.4 -0.3 0", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
-    "plane beside the yaw axis": ("0 0 0.1", (0.05, -0.12, 0.03), (0.0, 0.0, 0.0)),
-    "links beside each other, off the axis": ("-0.3 0.2 0", (0.04, 0.0, -0.02), (0.13, -0.05, 0.0)),
+    "plane off the yaw axis": ("0 0 0.1", (0.05, -0.12, 0.03), (0.0, 0.0, 0.0)),
+    "links next to each other, off the axis": ("-0.3 0.2 0", (0.04, 0.0, -0.02), (0.13, -0.05, 0.0)),
     "links beside each other, no yaw": ("0 0 0", (0.1, -0.2), (0.06, 0.0)),
 }
 

@@ -27,6 +27,7 @@ ROOMS = (
     "optimization",
     "certificate",
     "planning",
+    "workcell",
     "online",
     "tour",
     "study",

@@ -79,7 +79,7 @@ def truth(option: str, value: Any) -> bool:
     return bool(value)
 
 
-def text(option: str, value: Any, expected: str = "a text that is not empty") -> str:
+def text(option: str, value: Any, expected: str = "a nonempty text") -> str:
     """Return a non-empty string."""
     if not (isinstance(value, str) and value):
         raise OptionError(option, value, expected)

@@ -84,7 +84,7 @@ def numbers(
         )
     if most < np.inf and (np.abs(result) > most).any():
         place = np.argwhere(np.abs(result) > most)[0].tolist()
-        reason = f"{option} holds {result[tuple(place)]:g} at {place}, expected {most:g} at most"
+        reason = f"{option} holds {result[tuple(place)]:g} at {place}, expected at most {most:g}"
         raise InputError(reason, option=option, place=place)
     return result
 

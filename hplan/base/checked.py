@@ -1,4 +1,4 @@
-"""Checked values of users and files: frozen option dataclasses and models, validated by pydantic.
+"""Frozen option dataclasses and models, validated by pydantic.
 
 `Options` raise `OptionError`, like the checks of single arguments (`hplan.base.arguments`). A `StrictModel` is the
 schema of a file: it raises `SceneError` with the key path, to which `hplan.scene.file` adds the line.
@@ -183,7 +183,10 @@ class StrictModel(BaseModel):
     if not TYPE_CHECKING:
 
         def __init__(self, /, **values):
-            """Validate the values; pydantic does not call this for parts of other models."""
+            """Validate the values.
+
+            pydantic does not call this for parts of other models.
+            """
             try:
                 super().__init__(**values)
             except ValidationError as error:
@@ -208,7 +211,7 @@ class StrictModel(BaseModel):
             """Refuse to change a field; private attributes may change."""
             if not name.startswith("_"):
                 owner = type(self).__name__
-                raise self.error(f"a {owner} never changes; with_({name}=...) gives another one", where=name)
+                raise self.error(f"a {owner} is immutable; with_({name}=...) returns a changed copy", where=name)
             super().__setattr__(name, value)
 
         @classmethod
@@ -272,7 +275,7 @@ def check_values(model: StrictModel, *place: int | str) -> None:
     except ValidationError as error:
         found = scene_error(error, model.error)
         where = ".".join(filter(None, (dotted(place), found.where))) or None
-        reason = f"{found.reason}; it was changed past the checks: with_(...) makes a checked copy"
+        reason = f"{found.reason}; it was changed without checks: with_(...) returns a checked copy"
         raise model.error(reason, where=where, value=found.value) from error
 
 

@@ -93,7 +93,7 @@ class CsvFile:
         for line, row, numbers in self.number_rows(columns):
             if not numbers[0] > before:
                 name, text = self.header[columns[0]].strip(), row[columns[0]]
-                raise self.fault(line, f"{name} is {text}, no later than in the {self.row_word} before")
+                raise self.fault(line, f"{name} is {text}, not later than in the {self.row_word} before")
             before = numbers[0]
             yield line, row, numbers
 

@@ -42,7 +42,7 @@ class ByteBudget:
             size = max(path.stat().st_size, len(content))
             before = self.most - self._left
             others = f", and the files before it {before:,}" if before else ""
-            raise ValueError(f"{path} has {size:,} bytes or more{others}; at most {self.most:,} are read")
+            raise ValueError(f"{path} has at least {size:,} bytes{others}; at most {self.most:,} are read")
         self._left -= len(content)
         if is_input:
             note_input(path)
@@ -217,6 +217,6 @@ def check_replaceable(target: Path, path: Path) -> None:
         OutputError: `target` is a folder, a device or an input; the message names `path`.
     """
     if target.exists() and not target.is_file():
-        raise OutputError(path, "it is a folder" if target.is_dir() else "it is no ordinary file")
+        raise OutputError(path, "it is a folder" if target.is_dir() else "it is not a regular file")
     if target.resolve() in inputs():
-        raise OutputError(path, "it is read, and would be replaced; name another file")
+        raise OutputError(path, "it is an input and would be replaced; choose another file")

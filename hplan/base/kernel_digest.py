@@ -162,11 +162,7 @@ class _Parts:
             self.own += b"%d:" % len(data) + data
 
     def add(self, value: Any) -> None:
-        """Add a value.
-
-        Raises:
-            UnknownDependencyError: The value is of unknown kind.
-        """
+        """Add a value."""
         kind = type(value)
         self._write(kind.__module__, kind.__qualname__)
         if kind in _WRITTEN_OUT:
@@ -207,7 +203,7 @@ class _Parts:
         elif isinstance(value, type) and issubclass(value, Exception):  # identified by its name
             self._write(value.__module__, value.__qualname__)
         else:
-            raise UnknownDependencyError(f"nothing is known of {value!r}")
+            raise UnknownDependencyError(f"the dependencies of {value!r} are unknown")
 
     def _add_code(self, code: CodeType) -> None:
         names = (code.co_name, code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars)

@@ -262,7 +262,7 @@ class _DiskCache(NullCache):  # type: ignore[misc]
                 continue
             except Exception as error:  # numba raises arbitrary exceptions for data it cannot read
                 reason = f"{type(error).__name__}: {error}"
-                _warn_once(f"compiled kernels in {folder} cannot be read ({reason}); they are compiled anew", "read")
+                _warn_once(f"compiled kernels in {folder} cannot be read ({reason}); they are compiled again", "read")
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -283,7 +283,7 @@ class _DiskCache(NullCache):  # type: ignore[misc]
         try:
             kept = dumps((calls, by_name, _reduced(data)))
         except RuntimeError as error:  # numba has the function, but not its machine code
-            _warn_once(f"a compiled kernel cannot be kept: {error}", "unknown")
+            _warn_once(f"a compiled kernel cannot be cached: {error}", "unknown")
         if by_name:
             _call_by_name(data, _Called.of(self._compiled, sig))
         if kept is None:
@@ -302,8 +302,8 @@ class _DiskCache(NullCache):  # type: ignore[misc]
                 _remove_others(folder, key)
             return
         _warn_once(
-            "compiled kernels cannot be kept: neither the package's folder nor the user's cache folder can be written "
-            f"({errors[-1]}). They are compiled in every run, which takes most of a minute; NUMBA_CACHE_DIR names "
+            "compiled kernels cannot be cached: neither the package's folder nor the user's cache folder is writable "
+            f"({errors[-1]}). They are compiled in every run, which takes almost a minute; set NUMBA_CACHE_DIR to "
             "another folder",
             "kept",
         )
@@ -346,7 +346,7 @@ class _DiskCache(NullCache):  # type: ignore[misc]
             code = code_digest(self._compiled, afresh=afresh)
             return _Key(re.sub(r"[^\w.]", "_", name), code, machine, value_digest(tuple(types)))
         except UnknownDependencyError as error:
-            _warn_once(f"a compiled kernel cannot be kept: {error}", "unknown")
+            _warn_once(f"a compiled kernel cannot be cached: {error}", "unknown")
             return None
 
 
@@ -433,8 +433,11 @@ def _shipped(target: tuple[Any, ...]) -> str | None:
     features = ll.get_host_cpu_features()
     lacking = [name for name in needed if not features.get(name)]
     if brought != made_for() or lacking or processor is None:
-        here = f"this processor has no {', '.join(lacking)}" if brought == made_for() else f"here is {made_for()}"
-        _warn_once(f"kernels came with hplan for {brought}; {here}: they are compiled when first called", "shipped")
+        here = f"this processor lacks {', '.join(lacking)}" if brought == made_for() else f"this is {made_for()}"
+        _warn_once(
+            f"the kernels shipped with hplan are for {brought}; {here}: kernels are compiled when first called",
+            "shipped",
+        )
         return None
     return _machine((triple, processor, ""))
 

@@ -1,4 +1,4 @@
-"""Deferred imports: rarely used modules and registered additions are imported on first use.
+"""Deferred imports of rarely used modules and registered additions.
 
 A package that lower packages must not import registers its additions in their tables when it is imported. The top-level
 `__init__` declares such modules, and `load_extensions` imports them.

@@ -53,7 +53,7 @@ def pool_of(executor: Pool | None, workers: int | None) -> tuple[Pool, int]:
         # Forked children would inherit locks held by this process's threads.
         return lambda: ProcessPoolExecutor(count, mp_context=get_context("spawn")), _AHEAD * count
     if not isinstance(executor, Executor) and not callable(executor):
-        raise OptionError("executor", executor, "an Executor of concurrent.futures, or a function that makes one")
+        raise OptionError("executor", executor, "an Executor of concurrent.futures, or a function that creates one")
     return executor, _AT_ONCE if workers is None else _AHEAD * workers
 
 

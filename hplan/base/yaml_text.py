@@ -47,7 +47,7 @@ def read_yaml(text: str) -> tuple[Any, yaml.Node | None]:
     except RecursionError as error:
         raise yaml.MarkedYAMLError(problem="it is nested too deeply") from error
     except yaml.reader.ReaderError as error:
-        raise yaml.MarkedYAMLError(problem=f"character {error.character!r} cannot stand in YAML") from error
+        raise yaml.MarkedYAMLError(problem=f"character {error.character!r} is not allowed in YAML") from error
 
 
 def write_yaml(content: Any) -> str:
@@ -79,7 +79,7 @@ class _Loader(yaml.SafeLoader):
         event = self.peek_event()  # type: ignore[no-untyped-call]
         repeats = isinstance(event, yaml.AliasEvent)
         if repeats and event.anchor in self.anchors and event.anchor not in self.sizes:
-            problem = f"alias *{event.anchor} stands in what it repeats"
+            problem = f"alias *{event.anchor} is inside the value that it repeats"
             raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
         before = self.values
         # Each repetition counts: a few lines of aliases can expand beyond any memory.
@@ -103,7 +103,7 @@ class _Loader(yaml.SafeLoader):
             if key.tag != "tag:yaml.org,2002:str":
                 raise yaml.MarkedYAMLError(problem="a key must be text", problem_mark=key.start_mark)
             if key.value in lines:
-                problem = f"key {key.value!r} stands on line {lines[key.value]} already"
+                problem = f"key {key.value!r} is already on line {lines[key.value]}"
                 raise yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
             lines[key.value] = key.start_mark.line + 1
         return merged | {k.value: self.construct_object(v, deep=deep) for k, v in node.value if k.value in lines}
@@ -115,7 +115,7 @@ class _Loader(yaml.SafeLoader):
         """
         parts = value.value if isinstance(value, yaml.SequenceNode) else [value]
         if not all(isinstance(part, yaml.MappingNode) for part in parts):
-            raise yaml.MarkedYAMLError(problem="<< takes a mapping, or a list of them", problem_mark=key.start_mark)
+            raise yaml.MarkedYAMLError(problem="<< takes a mapping or a list of mappings", problem_mark=key.start_mark)
         merged: dict[Any, Any] = {}
         for part in reversed(parts):
             merged |= self.construct_mapping(part, deep=True)
@@ -128,7 +128,9 @@ def _construct_text(loader: _Loader, node: yaml.ScalarNode) -> str:
         # JSON escapes a character beyond U+FFFF as a surrogate pair.
         return text.encode("utf-16", "surrogatepass").decode("utf-16")
     except UnicodeDecodeError as error:
-        raise yaml.MarkedYAMLError(problem="text holds half a character", problem_mark=node.start_mark) from error
+        raise yaml.MarkedYAMLError(
+            problem="the text contains half of a character (a lone surrogate)", problem_mark=node.start_mark
+        ) from error
 
 
 def _construct_list(loader: _Loader, node: yaml.SequenceNode) -> tuple[Any, ...]:

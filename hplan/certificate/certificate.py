@@ -91,7 +91,7 @@ Stretch: TypeAlias = tuple[slice, CoalScene]
 
 
 class MotionRates(NamedTuple):
-    """Limit use and speeds of the motions that a trajectory is assembled from.
+    """Limit use and speeds of the motions in a trajectory.
 
     They are kept so that the samples added by the assembly do not change them.
 
@@ -171,7 +171,9 @@ class Certificate:
 
     @property
     def pushes(self) -> tuple[Push, ...] | None:
-        """Contacts with compliant obstacles: link, maximum deflection and time; computed on first access.
+        """Contacts with compliant obstacles: link, maximum deflection and time.
+
+        Computed on first access.
 
         Empty if nothing is touched. None for a certificate made by hand or derived from the certificate of its path.
         """
@@ -262,7 +264,9 @@ def certify(
     if interpolation is not None:
         trajectory = replace(trajectory, interpolation=interpolation)
     if truth("velocity_jumps", velocity_jumps) and trajectory.interpolation != "linear":
-        raise OptionError("velocity_jumps", True, f"False: between its rows the motion is {trajectory.interpolation}")
+        raise OptionError(
+            "velocity_jumps", True, f"False: between its samples the motion is {trajectory.interpolation}"
+        )
     tracking = TrackingModel(tracking_error, tracking_delay_s)
     by_name("sigmas", sigmas, "a finite number >= 0", lambda value: value >= 0.0)
     warn_of_far_obstacles(robot, scene)
@@ -270,24 +274,26 @@ def certify(
         sigmas = 0.0
         between("risk", risk, LEAST_RISK, 1.0)
         if checker is not None:
-            raise OptionError("risk", risk, "None with a checker of other solids than the scene's")
+            raise OptionError("risk", risk, "None if the checker has other solids than the scene")
         if scene.moves:
-            raise MovingObstacleError(scene.first_moving, "a risk is of what stands still")
+            raise MovingObstacleError(scene.first_moving, "a risk bound takes scenes without moving bodies")
     one_of("goal_contact", goal_contact, get_args(GoalContact))
     number("begin_s", begin_s, "a finite number of seconds")
     check_joints(trajectory, robot)
     if any(robot.slides) and not trajectory.slides:
         joint = robot.joint_names[robot.slides.index(True)]
-        missing = f"the trajectory does not say which of its joints are in metres, and {joint!r} slides"
-        raise InputError(f"{missing}: give Trajectory(..., slides=robot.slides) if those of the robot are", joint=joint)
+        missing = f"the trajectory does not say which of its joints are in metres, and {joint!r} is prismatic"
+        raise InputError(f"{missing}: give Trajectory(..., slides=robot.slides) if the prismatic ones are", joint=joint)
     allowed, violations, fruit = list[FruitContact](), list[str](), None
     if checker is None:
         checker, fruit = checker_in_time(robot, scene, sigmas), scene.goal_fruit
         if fruit is not None:
             if fruit.track is not None or scene.base_track is not None:
-                raise MovingObstacleError(None if fruit.track is None else fruit.name, "a fruit to pick must not move")
+                raise MovingObstacleError(
+                    None if fruit.track is None else fruit.name, "the fruit to pick must not move"
+                )
             allowed += goal_contacts(robot, trajectory, fruit, goal_contact)
-        for contact in list_of("contacts", contacts, FruitContact, "windows, as of Certificate.contacts"):
+        for contact in list_of("contacts", contacts, FruitContact, "contact windows, as from Certificate.contacts"):
             if contact.fruit in scene.fruits and not any(known.covers(contact) for known in allowed):
                 allowed.append(contact)
         allowed.sort(key=lambda contact: contact.span_s)
@@ -341,7 +347,10 @@ def goal_contacts(
 
 
 def _pieces(trajectory: Trajectory) -> FloatArray:
-    """Bezier points of a motion, (segments, 4 or 6, dof), clipped to +-`FARTHEST_JOINT`."""
+    """Bezier points of a motion, (segments, 4 or 6, dof).
+
+    Clipped to +-`FARTHEST_JOINT`.
+    """
     bezier: FloatArray = np.clip(trajectory.segments[0], -FARTHEST_JOINT, FARTHEST_JOINT)
     return bezier
 
@@ -541,16 +550,16 @@ def _not_shown(
     begin = trajectory.time[min(piece, trajectory.samples - 1)]
     end = trajectory.time[min(piece + 1, trajectory.samples - 1)]
     if proof.outcome == "travel":
-        yield f"clearance cannot be shown: from {begin:.6g} s to {end:.6g} s the motion is too fast to be bounded"
+        yield f"clearance cannot be proved: from {begin:.6g} s to {end:.6g} s the motion is too fast to be bounded"
     elif proof.outcome == "checks":
         at = begin + (proof.end - int(proof.end)) * (end - begin)
-        yield f"clearance is not shown beyond {at:.6g} s, where {proof.checks:,} checks are used up"
+        yield f"clearance is not proved after {at:.6g} s, where the {proof.checks:,} distance queries are used up"
     if proof.nearest is not None:
         near, when = proof.nearest, "" if seen_s is None else f" at {seen_s:.6g} s"
         other = robot.link_in_words(near.obstacle) if isinstance(near, OwnContact) else near.other
         yield (
             f"{robot.link_in_words(near.link)} comes to {1e3 * near.distance_m:.3g} mm of {other}{when}; "
-            f"to be shown: {wanted}"
+            f"required: {wanted}"
         )
 
 

@@ -273,7 +273,10 @@ class _Stations:
     """Spacing of the stations."""
 
     def __init__(self, travel: FloatArray, bounded: int) -> None:
-        """Take the travel of the moving bodies, (bodies, segments + 1) [m], bounded up to sample `bounded`."""
+        """Take the travel of the moving bodies, (bodies, segments + 1) [m].
+
+        It is bounded up to the sample `bounded`.
+        """
         self._travel = np.append(0.0, np.cumsum(np.diff(travel, axis=1).max(axis=0)))
         self._bounded = bounded
         # A minimum spacing limits the stations of a range to about 20,000.
@@ -328,14 +331,17 @@ def _looks(search: Advancement, bezier: FloatArray, checker: CoalScene, counted:
 
 
 def _at(values: FloatArray, place: float) -> FloatArray:
-    """Linear interpolation of (bodies, segments + 1) sample values at a position, (bodies,)."""
+    """Linear interpolation of (bodies, segments + 1) sample values, (bodies,)."""
     row = min(int(place), values.shape[1] - 2)
     result: FloatArray = values[:, row] + (place - row) * (values[:, row + 1] - values[:, row])
     return result
 
 
 def _lower_of_both(bounds: FloatArray) -> FloatArray:
-    """Minimum of the bounds before and after each station, (n - 1,) -> (n,)."""
+    """Minimum of the bounds before and after each station.
+
+    (n - 1,) -> (n,).
+    """
     lower: FloatArray = np.minimum(np.append(bounds[0], bounds), np.append(bounds, bounds[-1]))
     return lower
 

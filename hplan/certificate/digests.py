@@ -64,7 +64,7 @@ def trajectory_digest(trajectory: Trajectory) -> str:
 
 
 def scene_digest(scene: Scene) -> str:
-    """Digest of a scene, independent of the paths of its meshes and clouds."""
+    """Digest of a scene, independent of the paths of its files."""
     found = _Digest(scene.format)
     read = [obstacle for obstacle in scene.obstacles if isinstance(obstacle, FromData)]
     # `exclude` makes the dump five times slower, even if it matches no field.
@@ -98,7 +98,10 @@ def scene_digest(scene: Scene) -> str:
 
 
 def _moving(scene: Scene) -> Iterator[tuple[str, str, Track | Sway]]:
-    """Name, key and value of tracks and sways, which a JSON dump omits."""
+    """Name, key and value of tracks and sways.
+
+    A JSON dump omits these.
+    """
     for item in (*scene.obstacles, *scene.fruits):
         for key, value in (("track", item.track), ("sway", item.sway)):
             if value is not None:

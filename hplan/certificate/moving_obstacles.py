@@ -26,7 +26,9 @@ from hplan.scene.tracks import Movement
 
 
 def checker_in_time(robot: Robot, scene: Scene, sigmas: Sigmas) -> CoalScene:
-    """Collision checker of the arm among all solids of a scene, fruits included.
+    """Collision checker of the arm among all solids of a scene.
+
+    Fruits are included.
 
     Each solid is grown for its position uncertainty. If some solids move, the checker is time-dependent.
     """
@@ -66,7 +68,7 @@ def moving_base_contacts(robot: Robot, moving: MovingSolids, yaw: float, begin_s
 def _too_deep(
     body: coal.CollisionGeometry, place: pin.SE3, solid: Solid, movement: Movement, span_s: tuple[float, float]
 ) -> float | None:
-    """First time of excessive penetration of a base shape by a solid [s].
+    """First time of excessive penetration of a base shape [s].
 
     An inconclusive check counts as penetration. None if there is no such time.
     """

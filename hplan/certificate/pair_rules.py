@@ -1,4 +1,4 @@
-"""Link pairs with a rule of their own instead of the scene's clearance.
+"""Link pairs with their own rule instead of the scene's clearance.
 
 `Certificate.min_clearance_m` is a lower bound of every distance that was checked. Two kinds of pairs of one arm have a
 rule of their own: pairs that are never as far apart as the clearance must not touch, and have their own certified
@@ -41,7 +41,7 @@ class PairRule:
 
 
 def pair_rules(checker: CoalScene, proof: Proof, clearance: float) -> tuple[PairRule, ...]:
-    """Pairs with a rule of their own, with proved bounds of their distances.
+    """Pairs with their own rule, and proved bounds of their distances.
 
     Args:
         checker: The arm among the obstacles.
@@ -67,7 +67,9 @@ def _closer_pairs(checker: CoalScene, proof: Proof, clearance: float) -> Iterato
     bounds, first = dict(proof.own_bounds), len(checker.pairs) - len(checker.parts.own)
     for number, (pair, required) in enumerate(checker.own_required(clearance)):
         if required < clearance:
-            rule = f"they must not touch: at random configurations they are {1e3 * pair.farthest:.4g} mm apart at most"
+            rule = (
+                f"they must not touch: at random configurations their distance is at most {1e3 * pair.farthest:.4g} mm"
+            )
             yield PairRule(pair.mover_name, pair.other_name, rule, required, bounds.get(first + number))
 
 

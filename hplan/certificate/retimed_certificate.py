@@ -110,7 +110,7 @@ def certified_from(
     *,
     tracking: TrackingModel,
 ) -> Certificate:
-    """Certify a retimed motion from a sample on, by the rules of `certify`.
+    """Certify a retimed motion from a sample on, as `certify` does.
 
     Rest at its ends is not required.
 
@@ -148,7 +148,7 @@ def _by_path(robot: Robot, running: Certificate, motion: Trajectory, left: float
 
 
 def _nearer(robot: Robot, off_path: FloatArray) -> float:
-    """Upper bound on the loss of clearance caused by joint errors (dof,) [m]."""
+    """Upper bound on the clearance lost by joint errors (dof,) [m]."""
     if not off_path.any():
         return 0.0
     return largest_pair_sway(robot, off_path)

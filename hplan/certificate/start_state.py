@@ -85,6 +85,6 @@ def start_violations(robot: Robot, scene: Scene, trajectory: Trajectory) -> Iter
         if not off[joint] <= same:
             unit = getattr(robot.units[joint], what)
             yield (
-                f"the motion begins with the {what} of joint {robot.joint_names[joint]!r} {off[joint]:.4g} {unit} from "
+                f"the motion begins with the {what} of joint {robot.joint_names[joint]!r} {off[joint]:.4g} {unit} off "
                 "that of the scene's start"
             )

@@ -1,4 +1,4 @@
-"""Check that a trajectory solves its scene's task: start, goal and locked joints."""
+"""Check that a trajectory has its scene's start, goal and locked joints."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[
         row, away = instant_at(robot, rows, fruit.center)
         what = f"fruit {fruit.name!r}"
     if not away <= THERE:
-        when = "ends with the tool" if fruit is None else "brings the tool no nearer than"
+        when = "ends with the tool" if fruit is None else "brings the tool no closer than"
         yield f"the motion {when} {1e3 * away:.4g} mm from the goal, {what}"
     else:
         yield from _approach(robot, scene, rows[row])
@@ -96,4 +96,4 @@ def _approach(robot: Robot, scene: Scene, q: FloatArray) -> Iterator[str]:
     if beyond > width + 2.0 * SAME:
         angle = np.degrees(np.pi - (np.pi - direction) % (2.0 * np.pi))
         wanted = " to ".join(f"{end:g}" for end in np.degrees(asked[[0, -1] if width > 0.0 else [0]]))
-        yield f"the tool is at {angle:.4g} deg at the goal; asked for: {wanted} deg"
+        yield f"the tool is at {angle:.4g} deg at the goal; required: {wanted} deg"

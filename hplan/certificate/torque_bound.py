@@ -83,7 +83,7 @@ def largest_torques(
         InputError: A joint of the model is neither revolute about a fixed axis nor prismatic along one.
     """
     if dynamics.bodies is None or dynamics.sizes is None:
-        raise InputError("torques are bounded for joints that turn about fixed axes, or slide along them, only")
+        raise InputError("torques are bounded only for joints that turn about a fixed axis or slide along one")
     most = SAMPLES + SAMPLES_PER_PIECE * len(bezier)
     gravity = np.array(dynamics.model.gravity.linear)
     scale = np.where(limit > 0.0, limit, 1.0)

@@ -122,9 +122,9 @@ class TouchRisk:
     @property
     def violation(self) -> str:
         """Message for a bound above the required maximum."""
-        most = f", most of it {self.shares[0].obstacle!r}" if self.shares else ""
+        most = f", mostly {self.shares[0].obstacle!r}" if self.shares else ""
         return (
-            f"it may touch something with a probability of {self.bound:.3g}{most}; to be shown: at most {self.asked:g}"
+            f"the probability of a contact is bounded by {self.bound:.3g} only{most}; required: at most {self.asked:g}"
         )
 
 

@@ -26,7 +26,7 @@ from hplan.scene.tracks import Movement
 _TIMES: Final = 257
 
 #: Rules of the listed pairs.
-_TURNS: Final = "they must not touch: no joint moves a round shape of the turret nearer to it"
+_TURNS: Final = "they must not touch: no joint moves a round shape of the turret closer to it"
 _TOUCHES: Final = f"a round shape of the turret is within {1e3 * BASE_DEPTH:g} mm of it, as the ground may be"
 
 
@@ -77,7 +77,7 @@ def turret_clearance(checker: CoalScene, span_s: tuple[float, float], clearance:
 
 
 def _round_shapes(robot: Robot) -> tuple[BaseShape, ...]:
-    """Shapes of a planar arm's turret that are round about the yaw axis."""
+    """Turret shapes of a planar arm, round about the yaw axis."""
     shapes = base_shapes(robot) if base_joints(robot) else ()
     return tuple(shape for shape in shapes if shape.carrier == TURRET and shape.is_round)
 
@@ -105,7 +105,7 @@ def _near(shape: BaseShape, checker: CoalScene, most: float) -> list[int]:
 def _lower_bound(
     shape: BaseShape, obstacle: tuple[Solid, FloatArray], movement: Movement, span_s: tuple[float, float], most: float
 ) -> float:
-    """Lower bound of the distance between a shape and a moving obstacle [m].
+    """Lower bound of the distance between shape and moving obstacle [m].
 
     Args:
         obstacle: The obstacle and its bounding ball, (4,).

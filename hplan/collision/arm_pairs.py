@@ -68,7 +68,9 @@ _MANY: Final = 256
 
 @dataclass(frozen=True, eq=False)
 class ArmPair:
-    """Two parts of the arm with names and shapes, the moving one first.
+    """Two parts of the arm with names and shapes.
+
+    The moving one is first.
 
     Attributes:
         mover_name: Name of the moving part.
@@ -105,7 +107,10 @@ class ArmParts(Record):
 
     @cached_property
     def mover_names(self) -> tuple[str, ...]:
-        """Names of the moving bodies: links, turret, then base bodies paired with another arm."""
+        """Names of the moving bodies.
+
+        Links, turret, then base bodies that are paired with another arm.
+        """
         return tuple(dict.fromkeys([*self.links, *self.turret, *(pair.mover_name for pair in self.own)]))
 
     @cached_property
@@ -126,13 +131,16 @@ class ArmParts(Record):
 
     @cached_property
     def shape_pairs(self) -> tuple[tuple[pin.GeometryObject, pin.GeometryObject], ...] | ArmPairs:
-        """Shapes of the self-collision pairs, in a shared model if they are many."""
+        """Shapes of the self-collision pairs.
+
+        They are in a shared model if they are many.
+        """
         pairs = tuple(pair.shapes for pair in self.own)
         return ArmPairs(self.shapes, pairs) if len(pairs) >= _MANY else pairs
 
     @cached_property
     def own_names(self) -> tuple[tuple[str, ...], IntArray]:
-        """Names of the pairs' second parts, and (pairs, 2) indices of both parts."""
+        """Names of the pairs' second parts; (pairs, 2) indices of both."""
         movers = {name: number for number, name in enumerate(self.mover_names)}
         names = {name: number for number, name in enumerate(dict.fromkeys(pair.other_name for pair in self.own))}
         numbers = [(movers[pair.mover_name], names[pair.other_name]) for pair in self.own]
@@ -145,7 +153,10 @@ class ArmParts(Record):
 
     @cached_property
     def extents(self) -> tuple[FloatArray, FloatArray]:
-        """`coal_accuracy.extents` of the `shapes`, (shapes, 3), and of the pairs, (pairs, 2, 3)."""
+        """Extents of the shapes, (shapes, 3), and pairs, (pairs, 2, 3).
+
+        As returned by `coal_accuracy.extents`.
+        """
         return extents(self.shapes), extents(itertools.chain(*(pair.shapes for pair in self.own))).reshape(-1, 2, 3)
 
     @cached_property
@@ -165,7 +176,7 @@ class ArmParts(Record):
 
     @cached_property
     def movers(self) -> tuple[IntArray, FloatArray]:
-        """Moving bodies: each of the `shapes`, then the relative motion of each pair.
+        """Moving bodies: the `shapes`, then the relative motion of each pair.
 
         Returns:
             (movers, 2) indices of the bodies, -1 for no second body; (movers, dof) 1 for joints that contribute to the
@@ -183,7 +194,7 @@ class ArmParts(Record):
 
     @cached_property
     def travellers(self) -> tuple[IntArray, IntArray]:
-        """Indices of the body travels that make up the travel of the `movers`.
+        """Indices of the body travels that compose the `movers`' travel.
 
         A body travel is the travel of a body due to the joints from a given joint outward.
 
@@ -217,7 +228,9 @@ class ArmParts(Record):
 
     @cached_property
     def rows(self) -> FloatArray:
-        """(bodies, 5) joint of each body (`dof` for the ground), centre and radius of its bounding ball [m].
+        """(bodies, 5) joint and bounding ball of each body.
+
+        The joint is `dof` for the ground; then follow centre and radius of the ball [m].
 
         The ball contains the core, and for a body that is not exact also its rounding.
         """
@@ -307,7 +320,7 @@ def _planar_parts(robot: Robot, links: LinkShapes, deviation: float, clearance: 
 def _planar_exemptions(
     robot: Robot, by_link: dict[str, list[pin.GeometryObject]], own: Sequence[ArmPair]
 ) -> Iterator[tuple[str, str, str]]:
-    """Link pairs of a planar arm with unchecked shape pairs, and the reason.
+    """Link pairs of a planar arm with unchecked shapes, and the reason.
 
     A pair is listed even if some of its shapes are checked: the reported clearance claims nothing about such links.
     """
@@ -320,7 +333,7 @@ def _planar_exemptions(
     for (name, some), (other, others) in itertools.combinations(shapes.items(), 2):
         if all(frozenset((id(one), id(two))) in checked for one, two in itertools.product(some, others)):
             continue
-        reason = "some or all of their shapes always touch, or cannot come within the clearance"
+        reason = "some or all of their shapes always touch or never come within the clearance"
         if frozenset((name, other)) in neighbours:
             reason = "neighbours may overlap near their joint; only the parts beyond it must not touch"
         yield name, other, reason
@@ -376,7 +389,7 @@ def _turret_pairs(robot: Robot, deviation: float, clearance: float) -> Iterator[
 
 
 def shaped_pairs(robot: Robot, deviation: float) -> SelfPairs:
-    """Pairs of a planar arm whose capsules always touch, unlike their URDF shapes.
+    """Pairs whose capsules always touch, unlike their URDF shapes.
 
     These are links that the links between them hold close together, and links that start in or near a shape of turret
     or pedestal. Neighbouring links are not included.
@@ -390,7 +403,10 @@ def shaped_pairs(robot: Robot, deviation: float) -> SelfPairs:
 
 
 def _held_pairs(robot: Robot) -> Iterator[tuple[int, int]]:
-    """Pairs (i, j), i < j, of non-neighbouring bodies whose capsules always touch."""
+    """Pairs of non-neighbouring bodies whose capsules always touch.
+
+    They are (i, j) with i < j.
+    """
     arm, bodies = robot.arm, collision_bodies(robot)
     links = range(arm.link_count)
     held = {(shape.number, link) for shape in base_shapes(robot) for link in links if is_held(robot, shape, 0.0, link)}
@@ -424,7 +440,9 @@ def moving_bodies(robot: Robot) -> dict[str, list[int]]:
         if body.joint >= 0:
             found.setdefault(body.name, []).append(number)
     if not found:
-        reason = "no link that moves has a <collision>: it could touch nothing, and a certificate would say nothing"
+        reason = (
+            "no moving link has a <collision>: the robot could touch nothing, and a certificate would prove nothing"
+        )
         raise RobotFileError(robot.urdf_path, reason)
     return found
 
@@ -445,7 +463,7 @@ def _beyond(deviation: float) -> float:
 
 
 def below(robot: Robot, shape: BaseShape, obstacles: Sequence[Solid], growth: FloatArray) -> BoolArray:
-    """(obstacles,) mask of obstacles that are below a turning shape or support it.
+    """(obstacles,) mask of obstacles below a turning shape, or supporting it.
 
     Heights are constant under a rotation about the vertical: an obstacle whose top, grown by its `growth` [m], is not
     above the bottom of the shape is never penetrated. An obstacle whose top is higher by at most `BASE_DEPTH` supports

@@ -47,7 +47,7 @@ def joints_as_pinocchio(robot: Robot) -> FloatArray:
         for joint, place in enumerate(data.oMi.tolist()[1:]):
             off = np.abs(frames[joint] - np.append(place.rotation.ravel(), place.translation)).max()
             if not off <= 1e-9 * (1.0 + np.abs(place.translation).max()):
-                reason = f"joint {robot.joint_names[joint]!r} is placed {off:.3g} from where Pinocchio places it"
+                reason = f"joint {robot.joint_names[joint]!r} is {off:.3g} from its placement in Pinocchio"
                 raise RobotFileError(robot.urdf_path, reason)
     return numbers
 

@@ -54,7 +54,7 @@ class Contact:
 
 @dataclass(frozen=True)
 class OwnContact(Contact):
-    """Signed distance between a link and another part of the arm, `obstacle` [m]."""
+    """Signed distance between a link and another part, `obstacle` [m]."""
 
     @property
     def other(self) -> str:
@@ -63,7 +63,9 @@ class OwnContact(Contact):
 
 
 class CoalScene:
-    """Collision checker of an arm among obstacles: pairs of shapes and their distances.
+    """Collision checker of an arm among obstacles.
+
+    It has pairs of shapes and their distances.
 
     The pairs are each link shape with each obstacle, link by link; then each turret shape that is not round about the
     yaw axis with each obstacle; then the self-collision pairs (`hplan.robot.self_contact`). The pedestal and the round
@@ -207,7 +209,10 @@ class CoalScene:
 
     @cached_property
     def obstacle_balls(self) -> FloatArray:
-        """(obstacles, 4) centre and radius of a bounding ball of each grown obstacle, at its listed pose [m]."""
+        """(obstacles, 4) bounding ball of each grown obstacle [m].
+
+        Centre and radius, at its listed pose.
+        """
         found = np.zeros((self.own_first, 4))
         for row, (solid, growth) in zip(found, self.grown_obstacles, strict=True):
             low, high = solid.core.min(axis=0), solid.core.max(axis=0)
@@ -216,7 +221,10 @@ class CoalScene:
         return found
 
     def covering(self, deviation: float, clearance: float) -> CoalScene:
-        """Checker with the pairs required by a tracking error [rad] and a clearance [m]."""
+        """Checker with the pairs required by tracking error and clearance.
+
+        Tracking error [rad], clearance [m].
+        """
         if deviation <= self.deviation and clearance == self.clearance:
             return self
         most, single = max(deviation, self.deviation), self._built["single_joint_pairs"]
@@ -227,7 +235,7 @@ class CoalScene:
         return _rebuilt(built, self._touched)
 
     def touching(self, name: str, hangs_from: Sequence[str] = ()) -> CoalScene:
-        """Checker in which the last link may touch the obstacles of a name.
+        """Checker whose last link may touch the obstacles of a name.
 
         Their distance to the last link counts as infinite.
 
@@ -249,7 +257,10 @@ class CoalScene:
         return other
 
     def _depths(self, yielded: FloatArray | None, yield_links: Sequence[str] | None) -> FloatArray | None:
-        """Maximum deflection of each pair, (pairs,) [m]; 0 for rigid pairs, None if all are rigid."""
+        """Maximum deflection of each pair, (pairs,) [m].
+
+        0 for rigid pairs; None if all pairs are rigid.
+        """
         if yielded is None:
             return None
         names = pushing_links(self.robot, yield_links)
@@ -274,7 +285,9 @@ class CoalScene:
         return np.flatnonzero(self._yielded) if self._yielded is not None else np.zeros(0, dtype=np.int64)
 
     def kept(self, clearance: float) -> float | FloatArray:
-        """Required distances of the `pairs` for a clearance, one number or (pairs,) [m].
+        """Required distances of the `pairs` [m].
+
+        For a clearance, one number or (pairs,) [m].
 
         The required distance is 0 for bodies of one arm that are always closer together than the clearance
         (`touching_pairs.required_distances`). For a compliant obstacle it is negative at any clearance.
@@ -295,7 +308,9 @@ class CoalScene:
         return kept if self._yielded is None else np.where(self._yielded > 0.0, -self._yielded, kept)
 
     def counted(self, clearance: float) -> FloatArray:
-        """(pairs,) offsets that make distances of compliant obstacles comparable to the clearance [m].
+        """(pairs,) offsets of distances of compliant obstacles [m].
+
+        They make these distances comparable to the clearance.
 
         With its offset, a compliant obstacle at its maximum deflection is exactly at the clearance.
         """
@@ -328,7 +343,9 @@ class CoalScene:
         return self._geometry.distances(np.asarray(q, dtype=np.float64)) - self._taken_off
 
     def place(self, q: FloatArray, time_s: float | None = None) -> None:
-        """Set the poses of links and moving obstacles for `distances_of`, in this thread.
+        """Set the poses of links and moving obstacles for `distances_of`.
+
+        They hold in this thread.
 
         Raises:
             MovingObstacleError: Obstacles move, and no time is given.
@@ -345,12 +362,18 @@ class CoalScene:
             self._geometry.put(self.moving.places(time_s))
 
     def distances_of(self, pairs: IntArray) -> FloatArray:
-        """Signed distances of some of the `pairs` at the last placement, (k,) indices -> (k,) [m]."""
+        """Signed distances of some `pairs`, (k,) indices -> (k,) [m].
+
+        At the last placement.
+        """
         return self._geometry.distances_of(pairs) - self._taken_off[pairs]
 
     @cached_property
     def boxes(self) -> tuple[FloatArray, IntArray]:
-        """Bounding boxes of arm bodies and obstacles (see `box_bounds`), and (pairs, 2) box indices."""
+        """Bounding boxes of bodies and obstacles; (pairs, 2) box indices.
+
+        See `box_bounds`.
+        """
         parts, count, obstacles = self.parts, self.own_first, self._built["obstacles"]
         bodies = self.robot.cached(("boxes", *parts.key), lambda: boxes_about(parts))
         solids = boxes_about_solids(obstacles, self.robot.dof)
@@ -361,7 +384,7 @@ class CoalScene:
         return np.concatenate([bodies, solids]), np.concatenate([np.column_stack([mover, len(bodies) + solid]), of_own])
 
     def lower_bounds(self, q: FloatArray, pairs: IntArray) -> FloatArray:
-        """Lower bounds of signed distances of some of the `pairs`, (k,) indices -> (k,) [m].
+        """Lower bounds of some `pairs`' distances, (k,) indices -> (k,) [m].
 
         They are hundreds of times faster than the distances. For a moving obstacle they are huge negative numbers.
         """
@@ -370,11 +393,17 @@ class CoalScene:
 
     @property
     def taken_off(self) -> FloatArray:
-        """(pairs,) offsets subtracted from distances of shapes [m]; minus infinity for pairs that may touch."""
+        """(pairs,) offsets subtracted from distances of shapes [m].
+
+        Minus infinity for pairs that may touch.
+        """
         return self._taken_off
 
     def nearest_pair(self, q: FloatArray, kept: FloatArray, time_s: float | None = None) -> tuple[int, float]:
-        """Pair with the minimum distance beyond its required one, `kept` (pairs,), and its distance [m]."""
+        """Pair with the minimum distance beyond its required one.
+
+        With its distance [m]; `kept` (pairs,) are the required distances.
+        """
         # Number of pairs, nearest by lower bound, whose distances limit the other queries.
         first_asked = 16
         if len(kept) <= 2 * first_asked:
@@ -403,7 +432,7 @@ class CoalScene:
         return self.contact(*self.pairs[pair], distance)
 
     def in_collision(self, configurations: ArrayLike, *, margin: float = 0.0) -> BoolArray:
-        """(n,) mask of configurations in collision with an obstacle or the arm itself.
+        """(n,) mask of configurations in collision.
 
         All configurations are checked in one compiled call.
 
@@ -438,7 +467,7 @@ def _rebuilt(built: dict[str, Any], touched: Sequence[tuple[str, tuple[str, ...]
 def base_contacts(
     robot: Robot, obstacles: Sequence[Solid], yaw: float = 0.0, *, margin: float = 0.0
 ) -> tuple[Contact, ...]:
-    """Contacts of obstacles with the base: the URDF shapes of pedestal and turret.
+    """Contacts of obstacles with the URDF shapes of pedestal and turret.
 
     These contacts are not part of the C-space, since no motion of the planar joints at this yaw changes them. The base
     of a general (non-planar) arm consists of the bodies that no joint moves.

@@ -33,7 +33,10 @@ _AT_ORIGIN = pin.SE3.Identity()
 
 @made_once
 def link_shapes(robot: Robot, links: LinkShapes) -> list[pin.GeometryObject]:
-    """Capsule or beam of each link, in its joint's frame; cached for each robot."""
+    """Capsule or beam of each link, in its joint's frame.
+
+    Cached for each robot.
+    """
     model, arm = robot.model, robot.arm
     data = model.createData()
     neutral = np.zeros(model.nq)
@@ -138,7 +141,7 @@ def triangle_tree(points: FloatArray, faces: IntArray) -> coal.BVHModelOBBRSS:
 
 
 def _along(start: FloatArray, end: FloatArray) -> tuple[pin.SE3, float]:
-    """Placement at the middle of a segment, with z along it, and its length [m]."""
+    """Placement at a segment's middle, z along it; its length [m]."""
     axis = end - start
     length = math.sqrt(axis @ axis)  # as `np.linalg.norm`, in a tenth of the time
     if length == 0.0:

@@ -48,7 +48,9 @@ _PIECES: Final = 4
 
 @dataclass(frozen=True, eq=False)
 class CollisionBody(Record):
-    """A convex body on a joint: the hull of its core, grown by its rounding.
+    """A convex body on a joint.
+
+    The hull of its core points, grown by its rounding.
 
     Attributes:
         name: Name of its link in the URDF; several bodies may have the same name.
@@ -129,7 +131,7 @@ class _Solid(NamedTuple):
 def bodies_of(
     robot: Robot, name: str, shape: pin.GeometryObject, number: int = -1
 ) -> Iterator[tuple[CollisionBody, pin.GeometryObject]]:
-    """Bodies of one shape of a robot's link, each with its shape in coal.
+    """Bodies of one shape of a link, with their shapes in coal.
 
     Raises:
         RobotFileError: The shape has a kind that URDF does not define, or is a mesh without volume that cannot be
@@ -147,7 +149,10 @@ def bodies_of(
 
 
 def _primitive(geometry: coal.CollisionGeometry) -> _Solid | None:
-    """Convex solid of a primitive shape; None for a kind that URDF does not define."""
+    """Convex solid of a primitive shape; None for unknown kinds.
+
+    Known are the kinds that URDF defines.
+    """
     if isinstance(geometry, coal.Sphere):
         return _Solid("sphere", np.zeros((1, 3)), float(geometry.radius), True, 0.0, geometry)
     if isinstance(geometry, coal.Capsule):
@@ -172,7 +177,9 @@ def _mesh(mesh: coal.BVHModelBase) -> tuple[_Solid, ...]:
 # Cached by content: the arms of a workcell, alone and combined into one robot, have the same meshes.
 @lru_cache(maxsize=64)
 def _of_mesh(points: bytes, triangles: bytes, most: int) -> tuple[_Solid, ...]:
-    """Hull of a mesh, or the hulls of its convex pieces, with at most `most` points.
+    """Hulls of a mesh or of its convex pieces.
+
+    Each has at most `most` points.
 
     Args:
         points: (n, 3) vertices as bytes of float64 [m].
@@ -195,7 +202,10 @@ def _of_mesh(points: bytes, triangles: bytes, most: int) -> tuple[_Solid, ...]:
 
 
 def _hull(kind: str, points: FloatArray, rounding: float, judged: coal.CollisionGeometry, most: int) -> _Solid:
-    """Hull of (n, 3) points with at most `most` vertices, grown by a radius."""
+    """Hull of (n, 3) points with at most `most` vertices.
+
+    It is grown by a radius.
+    """
     hull = hull_of(points, most=most)
     return _Solid(kind, hull.core, hull.rounding + rounding, False, hull.rounding, judged)
 
@@ -233,7 +243,7 @@ def _outward(vertices: FloatArray, faces: IntArray) -> IntArray:
 
 
 def _prism(radius: float, half_length: float) -> FloatArray:
-    """(2 `_SIDES`, 3) corners of the circumscribed prism of a cylinder along z."""
+    """(2 `_SIDES`, 3) corners of a cylinder's circumscribed prism along z."""
     angles = np.arange(_SIDES) * (2.0 * math.pi / _SIDES)
     rim = radius / math.cos(math.pi / _SIDES) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     corners: FloatArray = np.vstack([np.c_[rim, np.full(_SIDES, end)] for end in (-half_length, half_length)])

@@ -46,8 +46,8 @@ def warn_of_far_obstacles(robot: Robot, scene: Scene) -> None:
     if names:
         others = f" and {len(names) - 1} more are" if names[1:] else " is"
         warnings.warn(
-            f"scene {scene.name!r}: obstacle {names[0]!r}{others} far out of reach; are lengths in millimetres? hplan "
-            "expects metres",
+            f"scene {scene.name!r}: obstacle {names[0]!r}{others} far out of reach; are the lengths in millimetres? "
+            "hplan expects metres",
             FarObstacleWarning,
             stacklevel=2,
         )

@@ -82,7 +82,7 @@ class FlatBodies(Record):
 
 
 def thicker(movers: FloatArray, by: FloatArray) -> FloatArray:
-    """Grow bodies, and required distances of pairs, by (bodies + pairs,) distances [m]."""
+    """Grow bodies and required distances by (bodies + pairs,) [m]."""
     movers, is_pair = movers.copy(), movers[:, IS_PAIR] > 0.0
     for columns, chosen in (((ROUNDING, BALL_RADIUS, AXIS_RADIUS), ~is_pair), ((TOUCHING, BALLS, AXES), is_pair)):
         for column in columns:
@@ -101,7 +101,7 @@ def _of_any_arm(robot: Robot) -> FlatBodies:
 
 
 def _of_parts(parts: ArmParts) -> FlatBodies:
-    """Shapes of a planar arm, then turret and pedestal shapes its links can touch."""
+    """Shapes of a planar arm, and base shapes it can touch."""
     (both, _), links = parts.movers, len(parts.shapes)
     return _flat(parts.robot, parts.bodies, np.arange(len(parts.bodies)) < links, both[links:].tolist())
 
@@ -109,7 +109,10 @@ def _of_parts(parts: ArmParts) -> FlatBodies:
 def _flat(
     robot: Robot, bodies: Sequence[CollisionBody], meets: Sequence[bool] | BoolArray, pairs: Sequence[tuple[int, int]]
 ) -> FlatBodies:
-    """Flatten bodies and pairs; `meets` marks the bodies that are checked against obstacles."""
+    """Flatten bodies and pairs.
+
+    `meets` marks the bodies that are checked against obstacles.
+    """
     joints, count = joint_numbers(robot), len(bodies)
     alone = np.array([points_reach(robot, body.core, body.joint) for body in bodies]).reshape(-1, robot.dof)
     reaches = np.concatenate([alone, np.zeros((len(pairs), robot.dof))])
@@ -142,7 +145,7 @@ def _flat(
 
 
 def _capsules(bodies: Sequence[CollisionBody]) -> Iterator[tuple[CollisionBody, tuple[int, ...]]]:
-    """Capsules around a cylinder with a ball of its radius at either end.
+    """Capsules around a cylinder with a ball at either end.
 
     URDFs describe capsules in this way. Each capsule comes with the indices of the three bodies that it contains. Only
     the capsule is checked against obstacles, because it is smooth.

@@ -108,7 +108,7 @@ def check_yield_links(robot: Robot, names: Sequence[str] | None) -> None:
     for name in names or ():
         known = _names(robot)
         if name not in known:
-            expected = f"links that move: {', '.join(known)}"
+            expected = f"moving links: {', '.join(known)}"
             close = get_close_matches(name, known, 1)
             raise OptionError("yield_links", name, expected + (f"; did you mean {close[0]!r}?" if close else ""))
 

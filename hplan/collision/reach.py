@@ -118,7 +118,10 @@ def _ball_about(robot: Robot, centre: FloatArray) -> FloatArray:
 
 
 class _Rings(NamedTuple):
-    """Rings around an axis: (3,) point and direction of the axis, (n,) radii and heights."""
+    """Rings around an axis.
+
+    (3,) point and direction of the axis, (n,) radii and heights.
+    """
 
     place: FloatArray
     axis: FloatArray
@@ -127,7 +130,10 @@ class _Rings(NamedTuple):
 
     @classmethod
     def about(cls, axis: FloatArray, radius: FloatArray, height: FloatArray) -> _Rings:
-        """Rings on the convex hull of the given ones, around an axis through the origin."""
+        """Rings on the convex hull of the given ones.
+
+        Around an axis through the origin.
+        """
         profile = np.column_stack([radius, height])
         profile = _outline(np.vstack([profile, profile * [-1.0, 1.0]]))
         return cls(np.zeros(3), axis, *profile[profile[:, 0] >= 0.0].T)
@@ -144,7 +150,7 @@ class _Rings(NamedTuple):
 
 
 def _carried(robot: Robot, points: FloatArray, joint: int, beyond: float) -> tuple[FloatArray, FloatArray]:
-    """Motion-bound coefficients of points on a joint, and a hull of their workspace.
+    """Motion-bound coefficients of points, and a hull of their workspace.
 
     The hull is given by points in `base_link`; it contains the given points at all configurations.
     """
@@ -194,12 +200,18 @@ def largest_sway(robot: Robot, deviation: FloatArray) -> FloatArray:
 
 
 def joint_axis(robot: Robot, joint: int) -> tuple[FloatArray, bool]:
-    """(3,) unit axis of a joint in its own frame, and True for a prismatic joint."""
+    """(3,) unit axis of a joint, and whether it is prismatic.
+
+    In the joint's own frame.
+    """
     return model_joint_axis(robot.model, joint + 1)
 
 
 def carriers(robot: Robot, joint: int) -> tuple[int, ...]:
-    """Joints from the given joint down to the base, itself first; empty for the ground."""
+    """Joints from the given one, itself first, to the base.
+
+    Empty for the ground.
+    """
     found = []
     while joint >= 0:
         found.append(joint)
@@ -208,7 +220,10 @@ def carriers(robot: Robot, joint: int) -> tuple[int, ...]:
 
 
 def _outline(points: FloatArray) -> FloatArray:
-    """Vertices of the convex hull of (n, 2) points, up to rounding errors."""
+    """Vertices of the convex hull of (n, 2) points.
+
+    Up to rounding errors.
+    """
     from scipy.spatial import ConvexHull, QhullError
 
     try:

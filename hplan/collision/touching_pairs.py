@@ -99,7 +99,7 @@ def self_pairs(robot: Robot, beyond: float = BEYOND) -> SelfPairs:
 
 
 def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) -> SelfPairs:
-    """Classify the given pairs (i, j), i < j, as checked or exempt."""
+    """Classify pairs (i, j), i < j, as checked or exempt."""
     bodies = collision_bodies(robot)
     allowed: list[tuple[int, int, str]] = []
     left: list[tuple[int, int]] = []
@@ -115,14 +115,17 @@ def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) 
     farthest = dict(zip(own, np.where(distances >= _FAR, np.inf, distances).tolist(), strict=True))
     for pair, touches in zip(own, touching.tolist(), strict=True):
         if touches and _always_touch(robot, pair):
-            allowed.append((*pair, f"they touch wherever {_joints_in_words(robot, pair)} are"))
+            allowed.append((*pair, f"they touch at all positions of {_joints_in_words(robot, pair)}"))
             del farthest[pair]
     checked = tuple(pair for pair, same_arm in zip(left, is_own, strict=True) if not same_arm or pair in farthest)
     return SelfPairs(checked, tuple(sorted(allowed)), frozen(np.array([farthest.get(p, np.inf) for p in checked])))
 
 
 def _exemption(robot: Robot, pair: tuple[int, int], beyond: float) -> str | None:
-    """Reason for exempting a pair; None if it is checked or requires samples."""
+    """Reason for exempting a pair; None without one.
+
+    Without one the pair is checked, or requires samples.
+    """
     first, second = (collision_bodies(robot)[body] for body in pair)
     declared = _declared(robot).get(frozenset((first.name, second.name))) if first.name != second.name else None
     declared = None if declared is None else f"may touch: {declared}"
@@ -192,7 +195,7 @@ def _between(robot: Robot, first: int, second: int) -> tuple[int, ...]:
 
 
 class OneJoint(NamedTuple):
-    """Distance of two shapes as a function of the one joint between them.
+    """Distance of two shapes as a function of their joint.
 
     Attributes:
         distance: Function from the joint value to the distance [m].
@@ -247,14 +250,14 @@ def one_joint(
 
 
 def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float) -> str | None:
-    """Reason for exempting two bodies with one joint between them; None if checked."""
+    """Reason for exempting two bodies on one joint; None if checked."""
     shapes, name = (body_shapes(robot)[pair[0]], body_shapes(robot)[pair[1]]), robot.joint_names[joint]
     if one_joint(robot, shapes, joint, 0.0).always(0.0):
-        return f"they touch wherever joint {name!r} is"
+        return f"they touch at all positions of joint {name!r}"
     decided = one_joint(robot, shapes, joint, beyond)
     # Bodies nearer than `SLACK` count as touching: the bisection cannot resolve smaller distances [m].
     if not decided.ever(SLACK):
-        return f"they cannot touch wherever joint {name!r} is"
+        return f"they cannot touch at any position of joint {name!r}"
     if decided.always(_BEARING):
         sides = f"they are the two sides of joint {name!r}, never farther apart than {1e3 * _BEARING:g} mm"
         return f"{sides}: assumed to touch by construction"
@@ -262,7 +265,10 @@ def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float
 
 
 def _radius(shape: pin.GeometryObject, placement: pin.SE3, axis: FloatArray) -> float:
-    """Upper bound of the distance of a shape's points from an axis [m]."""
+    """Upper bound of the distance of a shape from an axis [m].
+
+    Of all points of the shape.
+    """
     shape.geometry.computeLocalAABB()
     centre = placement * np.asarray(shape.geometry.aabb_center)
     return float(np.linalg.norm(centre - (centre @ axis) * axis)) + float(shape.geometry.aabb_radius)

@@ -147,7 +147,9 @@ class MovingObstacleError(InputError):
 
     def __init__(self, obstacle: str | None, reason: str = "") -> None:
         what = "the base has a track" if obstacle is None else f"obstacle {obstacle!r} has a track"
-        reason = reason or "this takes scenes in which nothing moves; `scene.at(time_s)` is one as it stands at a time"
+        reason = (
+            reason or "only scenes without moving bodies are supported; `scene.at(time_s)` is the scene at one time"
+        )
         super().__init__(f"{what}: {reason}", obstacle=obstacle)
 
 
@@ -233,8 +235,8 @@ class NotOnMotionError(InputError):
 
     def __init__(self, joint: str, off_by: float, covered: float, at_s: float, unit: str = "rad") -> None:
         message = (
-            f"measured: joint {joint!r} is {off_by:.4g} {unit} from where the running motion has it at {at_s:.10g} s "
-            f"on the controller's clock; a tracking error of {covered:.4g} {unit} is covered"
+            f"measured: joint {joint!r} is {off_by:.4g} {unit} from the running motion at {at_s:.10g} s "
+            f"on the controller's clock; the certificate covers a tracking error of {covered:.4g} {unit}"
         )
         super().__init__(message, joint=joint, off_by=off_by, covered=covered, at_s=at_s)
 
@@ -307,7 +309,7 @@ class ConfigurationInCollisionError(InputError):
         else:
             message = (
                 f"{which} is too close: {mover} is {1e3 * (clearance_m - depth_m):.3g} mm from "
-                f"{other}, {1e3 * depth_m:.3g} mm less than the {1e3 * clearance_m:.3g} mm to keep"
+                f"{other}, {1e3 * depth_m:.3g} mm less than the required {1e3 * clearance_m:.3g} mm"
             )
         super().__init__(message, which=which, link=link, obstacle=obstacle, depth_m=depth_m, clearance_m=clearance_m)
 

@@ -107,7 +107,7 @@ class UnavoidableContactError(HplanError):
 
     def __init__(self, reasons: Sequence[str], tried: int, clearance_m: float | None, stop: Any) -> None:
         super().__init__(
-            f"the start's state of motion cannot be left without contact, as far as {tried} stops show; of the best: "
+            f"no collision-free motion was found from the start in motion ({tried} stops tried); the best stop: "
             f"{'; '.join(reasons)}",
             reasons=list(reasons),
             tried=tried,
@@ -140,7 +140,7 @@ class RunningMotionBlockedError(HplanError):
     begins_s: float
 
     def __init__(self, reasons: Sequence[str], stop: Any, certificate: Any, begins_s: float = 0.0) -> None:
-        how = "no stop on its path is certified" if stop is None else "it can stop on its path"
+        how = "no stop on its path is certified" if stop is None else "the arm can stop on its path"
         super().__init__(f"the running motion cannot be taken over: {'; '.join(reasons)}; {how}", reasons=list(reasons))
         self.data["can_stop"] = stop is not None
         self.stop, self.certificate, self.begins_s = stop, certificate, begins_s

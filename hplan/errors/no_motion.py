@@ -143,8 +143,8 @@ class BlockedError(HplanError):
         more = f", and so do {refined} at finer approach angles" if refined else ""
         if best_clearance_m is not None and best_clearance_m > 0.0:
             more += (
-                f"; spare clearance {1e3 * best_clearance_m:.3g} mm at the best of them, too little to be verified: "
-                f"{1e3 * needed_clearance_m:.3g} mm are needed"
+                f"; the best of them has a spare clearance of {1e3 * best_clearance_m:.3g} mm, too little for a proof: "
+                f"{1e3 * needed_clearance_m:.3g} mm are required"
             )
         super().__init__(
             f"{what} is blocked: all {tried} configurations that reach it collide, with {names}{more}",
@@ -202,7 +202,7 @@ class NotFoundError(HplanError):
     tried: list[str]
 
     def __init__(self, tried: Sequence[str], **data: Any) -> None:
-        message = f"no motion was found, and it was not shown that there is none; tried: {'; '.join(tried)}"
+        message = f"no motion was found, and none was proved impossible; tried: {'; '.join(tried)}"
         super().__init__(message, tried=list(tried), **data)
 
 
@@ -226,7 +226,7 @@ class ObstacleInTimeError(NotFoundError):
     def __init__(self, obstacle: str | None, at_s: float | None, tried: Sequence[str]) -> None:
         super().__init__(tried, obstacle=obstacle, at_s=at_s)
         if obstacle is not None and at_s is not None:
-            self.add(f"obstacle {obstacle!r} is in the way at {at_s:.4g} s")
+            self.add(f"obstacle {obstacle!r} blocks the motion at {at_s:.4g} s")
 
 
 class NotInTimeError(NotFoundError):
@@ -248,8 +248,8 @@ class NotInTimeError(NotFoundError):
     elapsed_s: float
 
     def __init__(self, deadline_s: float, elapsed_s: float, tried: Sequence[str]) -> None:
-        listed = "; ".join(tried) or "nothing, as time was up at once"
-        message = f"no motion was found in time: {1e3 * deadline_s:.6g} ms are over; tried: {listed}"
+        listed = "; ".join(tried) or "nothing, because no time was left"
+        message = f"no motion was found within {1e3 * deadline_s:.6g} ms; tried: {listed}"
         HplanError.__init__(self, message, tried=list(tried), deadline_s=deadline_s, elapsed_s=elapsed_s)
 
 
@@ -291,7 +291,7 @@ class WorkersLostError(HplanError):
 
     def __init__(self, tasks: Sequence[int], of: int) -> None:
         message = (
-            f"{len(tasks)} of {of} tasks did not end, as the processes that had them were lost (out of memory, killed, "
-            "or a machine gone); the others are done"
+            f"{len(tasks)} of {of} tasks are not done because their processes were lost (out of memory, killed, or on "
+            "a failed machine); the others are done"
         )
         super().__init__(message, tasks=list(tasks))

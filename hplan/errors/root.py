@@ -1,4 +1,7 @@
-"""Root class of the hplan errors (message, facts as attributes, pickling) and the warning."""
+"""Root classes of hplan's errors and warnings.
+
+They carry a message and facts as attributes, and can be pickled.
+"""
 
 from __future__ import annotations
 
@@ -102,7 +105,9 @@ class UncoveredLinkWarning(HplanWarning):
 
 
 class RobotFileWarning(HplanWarning):
-    """A robot file has faults that no motion depends on; it was read without them.
+    """A robot file has faults that no motion depends on.
+
+    It was read without them.
 
     Examples:
         >>> from hplan.errors import HplanWarning, RobotFileWarning

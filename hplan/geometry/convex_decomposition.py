@@ -259,7 +259,9 @@ def _rough_volume(points: FloatArray) -> float:
 
 
 def _clipped(triangles: FloatArray, axis: int, at: float, side: float) -> FloatArray:
-    """Clip triangles to one side of a plane: `side * (coordinate - at) > 0`.
+    """Clip triangles to one side of a plane.
+
+    The side is `side * (coordinate - at) > 0`.
 
     Triangles in the plane are kept if they bound a solid on this side.
     """

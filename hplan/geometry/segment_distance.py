@@ -1,4 +1,6 @@
-"""Closed-form distances of segments from points, segments and boxes; of points from hulls.
+"""Closed-form distances of points and segments.
+
+Segments from points, segments and boxes; points from hulls.
 
 A distance is 0 if the two meet.
 """

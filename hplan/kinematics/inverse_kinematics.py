@@ -77,12 +77,12 @@ def inverse_kinematics(
     solutions, found = np.empty(starts.shape), np.zeros(len(starts), dtype=np.bool_)
     solve_all(starts, chain, solutions, found)
     if not found.any():
-        asked = "this pose" if not free else "this pose, however it is turned about its z axis"
+        asked = "this pose" if not free else "this pose, with any rotation about its z axis"
         held = f", with {', '.join(locked)} locked" if keeps.any() else ""
-        detail = f"{asked} was not reached from any of {count} starts{held}; that is no proof that it cannot be"
+        detail = f"{asked} was not reached from any of {count} starts{held}; this does not prove it unreachable"
         joints = np.count_nonzero(chain.moves)
         if joints < (5 if free else 6):
-            detail += f"; {joints} joints reach few poses exactly, any other goal is better given as a position alone"
+            detail += f"; {joints} joints reach few poses exactly; give other goals as positions"
         raise UnreachableError(chain.pose[9:].tolist(), "not_found", detail, joints=list(robot.joint_names))
     return distinct(robot, solutions[found], begin, chain)
 
@@ -114,7 +114,7 @@ def checked_pose(pose: ArrayLike, name: str = "pose") -> FloatArray:
         # Tolerance on the orthonormality of the rotation's columns.
         right_handed = off <= 1e-6 and float(np.linalg.det(turn)) > 0.0
     if not right_handed or np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() > 0.0:
-        raise InputError(f"{name}: expected a (4, 4) homogeneous matrix of a rotation and a place", option=name)
+        raise InputError(f"{name}: expected a (4, 4) homogeneous matrix of a rotation and a position", option=name)
     return matrix
 
 
@@ -144,7 +144,10 @@ def chain_of(robot: Robot, pose: FloatArray, turn: float, name: str | None = Non
 
 
 def pointed(chain: Chain, axis: FloatArray) -> Chain:
-    """Return the chain with its frame turned, so that its z axis is a (3,) unit vector of the frame."""
+    """Return the chain with the frame's z axis along a vector.
+
+    The (3,) unit vector is in the present frame.
+    """
     turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).toRotationMatrix()
     rotation = chain.placement[:9].reshape(3, 3) @ turn
     return chain._replace(placement=np.append(rotation.ravel(), chain.placement[9:]))

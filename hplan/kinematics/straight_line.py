@@ -142,7 +142,7 @@ class StraightLine(Record):
         back = lines_back(self.robot, self.goal[None], self.standoff, locked=self.locked, keeps_turn=self.keeps_turn)
         if back.reached[0] < len(back.distances):
             largest = float(back.distances[back.reached[0] - 1])
-            detail = f"the tool can be drawn back by {largest:.6g} m alone"
+            detail = f"the tool can be withdrawn by {largest:.6g} m only"
             raise ApproachError(self.standoff, "line", detail, largest_standoff_m=largest)
         return back
 

@@ -91,8 +91,8 @@ def tool_at_point(
         asked = "" if window is None else f" with an approach angle of {approach_deg} deg"
         held = f", with {', '.join(locked)} locked" if keeps.any() else ""
         detail = (
-            f"no configuration{asked} was found for any of {directions} directions of the tool{held}; that is no proof "
-            "that there is none"
+            f"no configuration{asked} was found for any of {directions} directions of the tool{held}; this does not "
+            "prove that none exists"
         )
         raise UnreachableError(place.tolist(), "not_found", detail, joints=list(robot.joint_names))
     return Candidates(frozen(solutions), frozen(approach))
@@ -124,7 +124,7 @@ def _check_reach(robot: Robot, place: FloatArray) -> None:
             longest += float(np.abs([robot.lower[joint], robot.upper[joint]]).max())
     excess = math.dist(place, model.jointPlacements[chain[-1] + 1].translation) - longest
     if excess > 0.0:
-        detail = f"it is {excess:.4g} m beyond the stretched arm"
+        detail = f"it is {excess:.4g} m beyond the reach of the stretched arm"
         raise UnreachableError(place.tolist(), "too_far", detail, excess_m=excess)
 
 

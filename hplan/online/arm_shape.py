@@ -1,4 +1,4 @@
-"""The arm as solids for camera models, and its workspace, also on a moving base."""
+"""The arm as solids for camera models, and its workspace."""
 
 from __future__ import annotations
 

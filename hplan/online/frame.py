@@ -392,7 +392,7 @@ def _points(points: ArrayLike) -> Any:
     # Maximum number of points in a frame.
     most_frame_points = 20_000_000
     if array.size > 3 * most_frame_points:
-        raise InputError(f"points: {array.size // 3:,} are more than {most_frame_points:,}", option="points")
+        raise InputError(f"points: {array.size // 3:,} exceed the maximum of {most_frame_points:,}", option="points")
     kind = array.dtype if array.dtype in (np.float32, np.float64) else np.float64
     with np.errstate(over="ignore"):  # Longer floats may overflow.
         found = np.ascontiguousarray(array.reshape(-1, 3), dtype=kind).view()
@@ -423,8 +423,8 @@ def rigid(pose: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
     most = 1e-5
     if not (off <= most and volume > 0.0) or np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max() > most:
         raise InputError(
-            "pose is no rigid motion: expected a rotation and a shift, [[R, p], [0, 0, 0, 1]], or x, y, z, roll, "
-            f"pitch, yaw; R R^T differs from the identity by {off:.3g}, det R is {volume:.3g}",
+            "pose is not a rigid transform: expected a rotation and a translation, [[R, p], [0, 0, 0, 1]], or x, y, z, "
+            f"roll, pitch, yaw; R R^T differs from the identity by {off:.3g}, det R is {volume:.3g}",
             option="pose",
         )
     return readonly(rotation), readonly(matrix[:3, 3])

@@ -1,4 +1,6 @@
-"""A cloud replaced frame by frame, and checks of a frame: acceptance on arrival, age for plans.
+"""Clouds replaced frame by frame, with checks of each frame.
+
+Frames are accepted on arrival, and their age is checked for plans.
 
 A refused frame changes nothing: the obstacles of the last good frame stay in the scene.
 """
@@ -31,7 +33,7 @@ def check_cloud_name(scene: Scene, name: str) -> None:
     taken = [item for item in (*scene.obstacles, *scene.fruits) if item.name == name]
     if taken and not isinstance(taken[0], PointCloud):
         what = type(taken[0]).__name__.lower()
-        raise InputError(f"{name!r} is a {what}; a cloud needs a name of its own", name=name)
+        raise InputError(f"{name!r} is a {what}; a cloud must have its own name", name=name)
 
 
 def solids_named(scene: Scene, names: Sequence[str], cloud: str, time_s: float | None) -> tuple[Solid, ...]:
@@ -61,7 +63,7 @@ def solids_named(scene: Scene, names: Sequence[str], cloud: str, time_s: float |
     )
     if named.moves:
         if time_s is None:
-            expected = "when the frame was taken, on the clock of the scene's tracks: what is to be ignored moves"
+            expected = "the time of the frame on the clock of the scene's tracks: a body to ignore moves"
             raise OptionError("time_s", None, expected)
         named = named.at(time_s)
     return named.listed_solids
@@ -111,7 +113,7 @@ class AcceptedFrame:
         age_s = self.age_s(now)
         if self.max_age_s is None or abs(age_s) <= self.max_age_s:
             return None
-        reason = f"it is {age_s:.4g} s old; plans may rely on it for {self.max_age_s:.4g} s (`max_age_s`)"
+        reason = f"it is {age_s:.4g} s old; the maximum age is {self.max_age_s:.4g} s (`max_age_s`)"
         if age_s < 0.0:
             reason = f"its stamp {self.time_s:.10g} s is {-age_s:.4g} s in the future; expected the controller's clock"
         return FrameError(name, f"{reason}: give a new frame", age_s=age_s, max_age_s=self.max_age_s)
@@ -177,18 +179,18 @@ def check_content(
     if 2 * report.far > returns:
         reason = (
             f"{report.far} of {returns} returns are more than {FAR_M:g} m from the camera: expected metres; points in "
-            "millimetres are to be divided by 1000"
+            "millimetres must be divided by 1000"
         )
     elif share < (1.0 - options.max_lost) * reference:
         reason = (
             f"{100.0 * share:.3g} % of {report.given} rows have a return, in earlier frames {100.0 * reference:.3g} %: "
-            f"the camera may be failing; `max_lost` = {options.max_lost:g} is the acceptable loss"
+            f"the camera may be failing; `max_lost` = {options.max_lost:g} is the maximum loss"
         )
     elif not (report.kept or report.ignored or options.allow_empty):
         listed = ", ".join(f"{count} {key.replace('_', ' ')}" for key, count in counts.items())
         reason = (
-            f"it leaves no obstacle ({listed}): look at the unit (m), `pose` and `joints`. "
-            f"`CloudOptions(allow_empty=True)` accepts a camera that sees nothing within reach, remove({name!r}) "
+            f"it leaves no obstacle ({listed}): check the unit (m), `pose` and `joints`. "
+            f"`CloudOptions(allow_empty=True)` accepts a camera that sees nothing within reach; remove({name!r}) "
             "removes the cloud"
         )
     if reason:

@@ -210,7 +210,9 @@ class Planner:
             if value is not None:
                 number(option, value, "a time on the controller's clock in seconds")
         if at is not None and begins_s is not None:
-            raise OptionError("begins_s", begins_s, "None with `at`: a splice begins as the motion before it runs")
+            raise OptionError(
+                "begins_s", begins_s, "None with `at`: a splice takes its start time from the running motion"
+            )
         with self._turn(cancel):
             if at is None:
                 return self._from_rest(begins_s, None if self.last is None else self.last.motion)
@@ -263,11 +265,11 @@ class Planner:
         number("at_s", at_s, "a time on the controller's clock in seconds")
         with self._changing:
             if self.last is None:
-                raise InputError("there is no motion that could begin: plan one first")
+                raise InputError("there is no motion to begin: plan one first")
             if (isinstance(self.last, SplicedResult) or self.last.scene.moves) and at_s != self.last.begins_s:
                 raise InputError(
-                    f"the motion begins at {self.last.begins_s:.10g} s on the controller's clock, and at no other "
-                    "time: it was planned for then"
+                    f"the motion begins at {self.last.begins_s:.10g} s on the controller's clock and at no "
+                    "other time: it was planned for that time"
                 )
             self.last, self._is_told = replace(self.last, begins_s=float(at_s)), True
             return self.last
@@ -287,9 +289,6 @@ class Planner:
         """Start time of a motion [s]; NaN if unknown.
 
         On the controller's clock.
-
-        Raises:
-            OptionError: `begins_s` is not a time, or is missing although something moves.
         """
         expected = "a time on the controller's clock in seconds"
         if begins_s is not None:
@@ -299,7 +298,9 @@ class Planner:
         if not self._is_told:
             return 0.0
         if scene.moves:
-            raise OptionError("begins_s", None, f"{expected}: something moves, and the clock has not begun only now")
+            raise OptionError(
+                "begins_s", None, f"{expected}: the scene has moving bodies, and the clock is already running"
+            )
         return math.nan
 
     def _running(
@@ -308,7 +309,7 @@ class Planner:
         if measured is not None and now is None:
             raise OptionError("now", None, "the time when the joints were measured, on the controller's clock")
         if self.last is None:
-            raise InputError("there is no motion that could run: plan one first")
+            raise InputError("there is no running motion: plan one first")
         self._is_told = True
         return RunningMotion(self.last, scene, options, now, measured)
 
@@ -329,7 +330,7 @@ class Planner:
             try:
                 yield
             except TimeIsUpError:  # Before the plan itself, which reports its own attempts.
-                raise limit.error(["the running motion up to where a new one may take over"]) from None
+                raise limit.error(["the running motion up to the point where a new one may take over"]) from None
             finally:
                 self._planning.release()
 
@@ -342,7 +343,7 @@ class Planner:
         _check_kind(obstacle)
         with self._changing:
             if obstacle.name in {item.name for item in (*self.scene.obstacles, *self.scene.fruits)}:
-                message = f"there is an obstacle {obstacle.name!r} already; names must differ"
+                message = f"there already is an obstacle {obstacle.name!r}; names must differ"
                 raise InputError(message, name=obstacle.name)
             self._change((*self.scene.obstacles, obstacle))
             warn_of_far_obstacles(self.robot, self.scene)
@@ -356,7 +357,7 @@ class Planner:
         with self._changing:
             if any(fruit.name == name for fruit in self.scene.fruits):
                 if name == self.scene.goal.fruit:
-                    raise InputError(f"fruit {name!r} is the goal; aim elsewhere before it is removed", name=name)
+                    raise InputError(f"fruit {name!r} is the goal; set another goal before removing it", name=name)
                 left = tuple(fruit for fruit in self.scene.fruits if fruit.name != name)
                 self.scene = self.scene.copy_unchecked({"fruits": left})
                 return
@@ -376,7 +377,9 @@ class Planner:
         with self._changing:
             index, cropped = self._index(name), self._cropped.get(name)
             if cropped is not None and self.scene.obstacles[index] is cropped.cloud:
-                raise InputError(f"cloud {name!r} was cropped to the reach where it was seen: set it anew", name=name)
+                raise InputError(
+                    f"cloud {name!r} was cropped to the reach of the arm where it was seen: set it again", name=name
+                )
             moved = _changed(self.scene.obstacles[index], changes)
             self._change((*self.scene.obstacles[:index], moved, *self.scene.obstacles[index + 1 :]))
 
@@ -440,12 +443,14 @@ class Planner:
         one_of("unknown", unknown, get_args(Unknown))
         options = CloudOptions() if options is None else options
         if unknown == "solid" and joints is None:
-            raise OptionError("joints", None, "those of the arm: unknown space is solid but for where it stands")
+            raise OptionError(
+                "joints", None, "the joint positions of the arm: unknown space is solid except for the space of the arm"
+            )
         with self._filtering:  # Only other frames wait for this lock.
             scene, planning = self.scene, self.options
             check_cloud_name(scene, name)
             if scene.base_track is not None and time_s is None:
-                expected = "when the frame was taken, on the controller's clock: the base moves"
+                expected = "the time of the frame on the controller's clock: the base moves"
                 raise OptionError("time_s", None, expected)
             last = self._cropped.get(name)
             before = None if last is None else last.frame
@@ -482,12 +487,9 @@ class Planner:
         """Obstacle that closes off unknown space; None if all is known.
 
         It includes the given frame.
-
-        Raises:
-            OptionError: The base moves; or the voxels are far too small.
         """
         if frame.base_track is not None or frame.joints is None:
-            raise OptionError("unknown", "solid", "'free' where the base moves")
+            raise OptionError("unknown", "solid", "'free' if the base moves")
         if self._space is None:
             self._space = SeenSpace(self.robot, options.unseen_edge_m)
         space, now_s = self._space, frame.time_s
@@ -514,8 +516,8 @@ class Planner:
             return
         start = self.robot.check_configuration(self.robot.joints_of(scene.start, "start"), "start")
         if self._space is None or not self._space.holds(arm_solids(self.robot, start), self._known_since_s):
-            raise InputError("start: the arm is in space that was not seen, and unknown space is solid: give a frame "
-                "with the joints that it has there", option="start")  # fmt: skip
+            raise InputError("start: the arm is in unseen space, and unknown space is solid: give a frame with the "
+                "joint positions of the arm there", option="start")  # fmt: skip
 
     def next_view(
         self,
@@ -642,8 +644,8 @@ class Planner:
             ):
                 if lacks:
                     message = (
-                        f"cloud {obstacle.name!r} was cropped to the reach for {what}: set it anew, or, where it is "
-                        "remembered (keep_s), remove it before"
+                        f"cloud {obstacle.name!r} was cropped to the reach for {what}: set it again or, if it is "
+                        "remembered (keep_s), remove it first"
                     )
                     faults.append(InputError(message))
         return faults
@@ -721,5 +723,5 @@ def _changed(item: _Model, changes: Mapping[str, Any]) -> _Model:
     if unknown:
         raise InputError(f"a {type(item).__name__.lower()} has no {unknown[0]!r}; it has {', '.join(fields)}")
     if isinstance(item, FromData) and not changes.keys() <= {"position", "rpy_deg"}:
-        raise InputError("of a mesh or a point cloud only position and rpy_deg can be changed; add another instead")
+        raise InputError("only position and rpy_deg of a mesh or a point cloud can be changed; add another one instead")
     return item.with_(**changes)

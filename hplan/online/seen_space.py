@@ -104,7 +104,9 @@ class SeenSpace:
         _see(self.times, self._corner, self.edge, both, rotation, position, np.array([time_s, margin_m]))
 
     def free(self, solids: Iterable[Solid], time_s: float, within_m: float) -> None:
-        """Mark the voxels in or near some solids as free at `time_s` [s].
+        """Mark the voxels in or near some solids as free.
+
+        At `time_s` [s].
 
         A voxel is marked if its centre is within `within_m` of a solid [m].
         """
@@ -113,7 +115,10 @@ class SeenSpace:
             part[inside] = np.maximum(part[inside], time_s)
 
     def holds(self, solids: Iterable[Solid], since_s: float) -> bool:
-        """True if all voxels that some solids touch were known free at or after `since_s` [s]."""
+        """True if all voxels touched by some solids were known free.
+
+        At or after `since_s` [s].
+        """
         return not len(self.unknown(solids, since_s))
 
     def unknown(self, solids: Iterable[Solid], since_s: float) -> FloatArray:

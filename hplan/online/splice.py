@@ -106,7 +106,9 @@ class RunningMotion:
             OptionError: `now` is before or after the motion.
         """
         if math.isnan(plan.begins_s):
-            raise InputError("it was not told when the motion began: plan(begins_s=), or began(at_s) afterwards")
+            raise InputError(
+                "the start time of the running motion is unknown: give plan(begins_s=), or call began(at_s) afterwards"
+            )
         time, scene = plan.trajectory.time, scene.since(plan.begins_s)
         self.plan, self._scene, self._options = plan, scene, options
         # Clocks of controllers are sums of small steps, and may be large numbers.

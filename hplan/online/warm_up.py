@@ -65,7 +65,7 @@ def warm_up(robot: Robot) -> None:
     """
     instance("robot", robot, Robot, "load_robot")
     if not any(_is_done(robot, *pair, blocked) for blocked in (True, False) for pair in _pairs(robot)):
-        warnings.warn(f"no motion of {robot.name!r} was found to make ready with", NotReadyWarning, stacklevel=2)
+        warnings.warn(f"the warm-up found no motion of {robot.name!r}", NotReadyWarning, stacklevel=2)
     gc.collect()
     gc.freeze()
 

@@ -1,4 +1,7 @@
-"""First-order constraints of a timed spline on torques and on the tool's tilt, as linear program rows."""
+"""Linearized constraints on torques and the tool's tilt.
+
+They are rows of the linear program of a timed spline.
+"""
 
 from __future__ import annotations
 

@@ -80,12 +80,7 @@ def short_path(path: FloatArray, field: ClearanceField, options: PostprocessOpti
 
 
 def _smallest_margin(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> float:
-    """Minimum required clearance of a path [m].
-
-    Raises:
-        InputError: Start and goal of the path coincide.
-        CertificationError: The path does not have this clearance.
-    """
+    """Minimum required clearance of a path [m]."""
     if np.linalg.norm(path[-1] - path[0]) < _NO_MOTION:
         raise InputError("the path ends where it begins; there is no motion to make")
     smallest = SMALLEST_FRACTION * options.margin

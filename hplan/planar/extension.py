@@ -30,7 +30,9 @@ def is_planar(robot: Robot) -> bool:
 
 
 def check_cspace(robot: Robot, yaw: float | None) -> None:
-    """Check that an arm's C-space can be drawn at a yaw; None for the goal's yaw.
+    """Check that an arm's C-space can be drawn at a yaw.
+
+    None for the goal's yaw.
 
     Raises:
         InputError: The arm does not have three planar joints.
@@ -42,7 +44,9 @@ def check_cspace(robot: Robot, yaw: float | None) -> None:
 
 
 def draw_cspace(result: PlanResult, options: PlanOptions, yaw: float | None) -> tuple[str, Callable[[], Figure]]:
-    """Return the page of a result's C-space at a yaw, and a function that draws its figure.
+    """Return the page of a result's C-space at a yaw.
+
+    Also returns a function that draws its figure.
 
     Raises:
         InputError: The arm does not have three planar joints.

@@ -1,4 +1,6 @@
-"""Configurations of a planar arm with its tool at a point, by approach angles as for all arms.
+"""Configurations of a planar arm with its tool at a point.
+
+Approach angles are those of all arms.
 
 `hplan.planar.inverse_kinematics` measures the angle of the last link in the arm plane, from its horizontal axis. The
 approach angle of all arms (`hplan.kinematics.tool_at_point`) is measured from the outward direction. In a vertical
@@ -77,6 +79,9 @@ def configurations_at_point(
 
 
 def _beyond_window(place: FloatArray, low: float, high: float) -> UnreachableError:
-    """Return the error for a position that is reached with the point on the other side of the base alone."""
+    """Return the error for a position outside the approach window.
+
+    It is reached only with the point on the other side of the base.
+    """
     detail = f"not with an approach angle of {low:.4g} to {high:.4g} deg against the outward direction"
     return UnreachableError(place.tolist(), "approach", detail, approach_deg=[low, high])

@@ -56,7 +56,7 @@ def grid_entry(problem: Problem, space: Occupancy, which: Literal["start", "goal
         if nodes:
             return GridEntry(waypoints, nodes)
     raise CertificationError(
-        f"no motion from the {which} to a free node of the grid can be verified clear; a smaller step may help",
+        f"no motion from the {which} to a free grid node can be verified collision-free; a smaller step may help",
         which=which,
     )
 

@@ -1,4 +1,4 @@
-"""Grid path from start to goal over the planar joints, with a locked base.
+"""Grid path over the planar joints, with a locked base.
 
 The result is a polyline of configurations. Free nodes do not imply free segments: the caller verifies the segments.
 """
@@ -88,7 +88,10 @@ def _search(problem: Problem, space: Occupancy, start: IntArray, goal: IntArray)
 
 
 def _configurations(problem: Problem, grid: Grid, nodes: IntArray, start: GridEntry, goal: GridEntry) -> FloatArray:
-    """Convert a node path to (m, dof) configurations; adds an off-grid start or goal."""
+    """Convert a node path to (m, dof) configurations.
+
+    Adds an off-grid start or goal.
+    """
     path = np.repeat(problem.start[None], len(nodes), axis=0)
     path[:, grid_axes(problem)] = grid.coordinates(nodes)
     before, after = start.waypoints, goal.waypoints

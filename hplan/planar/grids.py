@@ -1,4 +1,7 @@
-"""Grids over the C-space of a planar arm: their spacing, size and occupancy for a planning problem."""
+"""Grids over the C-space of a planar arm.
+
+Their spacing, size and occupancy for a planning problem.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,7 @@ MOST_CELLS = 1e8
 
 @dataclass(frozen=True)
 class GridAttempt:
-    """Spacing and width of a grid, and how obstacles are mapped into it.
+    """Spacing and width of a grid, and growth of its obstacles.
 
     Attributes:
         step_factor: Maximum spacing of the grid as a multiple of the option `step_deg`.
@@ -48,18 +51,27 @@ def base_turns(problem: Problem) -> bool:
 
 
 def grid_axes(problem: Problem) -> IntArray:
-    """Joint of each grid axis: the planar joints, then the yaw if it may turn."""
+    """Joint of each grid axis.
+
+    The planar joints, then the yaw if it may turn.
+    """
     planar = np.arange(problem.robot.dof)[problem.robot.arm_slice]
     return np.append(planar, 0) if base_turns(problem) else planar
 
 
 def grown_margin(problem: Problem, growth_m: float) -> float:
-    """Additional clearance required with grown obstacles [m]; less if start or goal have less."""
+    """Additional clearance required with grown obstacles [m].
+
+    Less if start or goal have less.
+    """
     return min(MARGIN + growth_m, 0.5 * float(problem.spare_clearances[0]))
 
 
 def possible_growth(problem: Problem, growth_m: float) -> float:
-    """Maximum obstacle growth, at most the given one, that keeps start and goal free [m]."""
+    """Maximum obstacle growth that keeps start and goal free [m].
+
+    At most the given one.
+    """
     return min(growth_m, 0.8 * float(problem.spare_clearances[0]))
 
 
@@ -87,7 +99,10 @@ def count_nodes(problem: Problem, attempt: GridAttempt) -> float:
 
 
 def fitting_attempt(problem: Problem, attempt: GridAttempt, most_cells: float | None = None) -> GridAttempt | None:
-    """Attempt with the smallest step factor that fits `most_cells` nodes; None if none fits."""
+    """Attempt with the smallest step factor that fits; None without.
+
+    A grid fits if it has at most `most_cells` nodes.
+    """
     most_cells = MOST_CELLS if most_cells is None else most_cells
     coarsest = max(attempt.step_factor, COARSEST_DEG / problem.options.step_deg)
     factors = (factor for factor in _STEP_FACTORS if attempt.step_factor <= factor <= coarsest)
@@ -96,7 +111,7 @@ def fitting_attempt(problem: Problem, attempt: GridAttempt, most_cells: float | 
 
 
 def flood_attempt(problem: Problem, yaw_range_deg: float) -> GridAttempt | None:
-    """Attempt with the finest grid small enough to be flooded; None if no grid is.
+    """Attempt with the finest grid that can be flooded, or None.
 
     Its yaws extend beyond start and goal by `yaw_range_deg`.
     """
@@ -118,7 +133,10 @@ def planar_grid(problem: Problem, attempt: GridAttempt) -> Grid:
 
 
 def prepared(world: World, more: float = 0.0) -> PreparedObstacles:
-    """Obstacles of a world, grown by their clearance plus `more` [m], prepared for sections."""
+    """Obstacles of a world, grown and prepared for sections.
+
+    They are grown by their clearance plus `more` [m].
+    """
     linked, arm = world.linked, world.robot.arm_slice
     links = None if linked.joints is None else linked.joints[:, arm]
     if world.touched:

@@ -320,8 +320,8 @@ def _arm_reason(task: _ReachTask) -> UnreachableError:
     if task.views.distance > MATCH_TOLERANCE:
         distance = task.views.distance
         across = f"{abs(task.robot.shoulder_from_axis[1]):.6g} m"
-        where = f"nearer to the yaw axis than the arm plane, which passes that at {across}"
-        detail = f"it is {distance:.6g} m {where if task.robot.has_yaw else 'beside the arm plane'}"
+        where = f"closer to the yaw axis than the arm plane, whose distance from the axis is {across}"
+        detail = f"it is {distance:.6g} m {where if task.robot.has_yaw else 'from the arm plane'}"
         return _unreachable(task, "off_plane", detail, beside_m=distance)
     farthest = float(lengths.sum())
     nearest = max(0.0, 2.0 * float(lengths.max()) - farthest)
@@ -329,15 +329,18 @@ def _arm_reason(task: _ReachTask) -> UnreachableError:
     short = nearest - float(modulus(points).max())
     if beyond > 0.0:
         return _unreachable(
-            task, "too_far", f"it is {beyond:.6g} m beyond the reach of {farthest:.6g} m", excess_m=beyond
+            task, "too_far", f"it is {beyond:.6g} m beyond the maximum distance of {farthest:.6g} m", excess_m=beyond
         )
     if short > 0.0:
         return _unreachable(
-            task, "too_near", f"it is {short:.6g} m nearer than the arm can fold, {nearest:.6g} m", excess_m=short
+            task,
+            "too_near",
+            f"it is {short:.6g} m closer than the minimum distance of the folded arm, {nearest:.6g} m",
+            excess_m=short,
         )
     if task.gridded:  # the grid search is inconclusive
         names = [task.robot.arm.joint_names[joint] for joint in task.gridded]
-        detail = f"no configuration with {', '.join(names)} at values of a grid"
+        detail = f"no configuration with {', '.join(names)} at grid values"
         return _unreachable(task, "not_found", detail, joints=names)
     return _limit_reason(task)
 
@@ -369,7 +372,7 @@ def _limit_reason(task: _ReachTask) -> UnreachableError:
         below = q[best, which] < robot.lower[joint]
         limit = float(np.degrees(robot.lower[joint] if below else robot.upper[joint]))
         passed.append({"joint": name, "limit_deg": limit, "excess_deg": beyond})
-        text.append(f"joint {name!r} would have to pass its limit of {limit:.6g} deg by {beyond:.4g} deg")
+        text.append(f"joint {name!r} would have to exceed its limit of {limit:.6g} deg by {beyond:.4g} deg")
     return _unreachable(task, "joint_limit", " and ".join(text), **passed[0], passed=passed)
 
 

@@ -1,4 +1,6 @@
-"""Proves that no path to a goal exists: closed regions of a grid, and their obstacles.
+"""Proves that no path to a goal exists.
+
+A proof names closed regions of a grid, and their obstacles.
 
 Many goals are decided together.
 """
@@ -52,7 +54,10 @@ class Region(NamedTuple):
 
 
 class EnclosedError(UnexplainedNoPathError):
-    """One end is enclosed on a grid; `explained` finds the obstacles around it."""
+    """One end is enclosed on a grid.
+
+    `explained` finds the obstacles around it.
+    """
 
     def __init__(
         self,
@@ -92,7 +97,7 @@ class EnclosedError(UnexplainedNoPathError):
                 error = self._bounded(self._region)
         if self._attempt.step_factor > 1.0:
             step = step_deg(self._problem, self._attempt)
-            remark = f"the grid's step is {step:g} deg, as a finer one over all joint ranges is too large"
+            remark = f"the grid's step is {step:g} deg because a finer grid over all joint ranges is too large"
             error.add(remark, step_deg=step)
         return error
 
@@ -118,14 +123,16 @@ class EnclosedError(UnexplainedNoPathError):
             first = walls[0]
             low, high = first["slices_deg"]
             message += (
-                f"; most of their border is held by obstacle {first['obstacle']!r} against link {first['link']!r}"
+                f"; most of their border is blocked by obstacle {first['obstacle']!r} against link {first['link']!r}"
                 f" ({arm.joint_names[-1]} from {low:g} to {high:g} deg)"
             )
         return NoPathError(message, reached_cells=int(reached.sum()), blockers=walls)
 
 
 def is_open_ended(problem: Problem, grid: Grid, reached: WordArray) -> bool:
-    """True if a larger yaw range within the limits might open a region.
+    """True if a larger yaw range might open a region.
+
+    Within the limits.
 
     The region then ends at the edge of the grid's yaws, and the joint limits allow more yaws.
 
@@ -145,7 +152,9 @@ def is_open_ended(problem: Problem, grid: Grid, reached: WordArray) -> bool:
 def enclosed_goals(
     problem: Problem, attempt: GridAttempt, numbers: Sequence[int], *, explained: bool = False
 ) -> list[EnclosedError | None]:
-    """Prove by flooding one grid which goals are not connected to the start.
+    """Prove by a flood which goals the start cannot reach.
+
+    The flood is that of one grid.
 
     It is the grid of the first goal. The goals' regions are flooded first, because they are usually small pockets that
     do not contain the start.
@@ -208,7 +217,9 @@ def _smaller_region(grid: Grid, free: WordArray, start: IntArray, goal: IntArray
 
 
 def prove_infeasible(problem: Problem, numbers: Sequence[int] | None = None) -> list[NoPathError | None]:
-    """Prove for several goals together that no path exists on the finest grid.
+    """Prove for several goals that no path exists.
+
+    On the finest grid.
 
     Args:
         numbers: Indices of the goals; None for all goals.

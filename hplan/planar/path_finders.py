@@ -1,4 +1,6 @@
-"""Path finders for planar arms with a locked base: two-level grid search and trees.
+"""Path finders for planar arms with a locked base.
+
+Two-level grid search and trees.
 
 If the base may turn, planar arms use the general path finders.
 """
@@ -81,7 +83,9 @@ class TwoLevelGrid:
     """
 
     def paths(self, problem: Problem, budget: Budget) -> Iterator[tuple[Path, ...]]:
-        """Yield the grid path with its alternatives until one leads to a certified motion.
+        """Yield the grid path with its alternatives.
+
+        Ends when one leads to a certified motion.
 
         Raises:
             FailuresError: No path leads to a certified motion; includes the proof for each goal without a path.
@@ -139,7 +143,7 @@ class TwoLevelGrid:
         )
 
     def _alternatives(self, problem: Problem) -> list[Path]:
-        """Tree paths in other homotopy classes than the grid path, if there are obstacles."""
+        """Tree paths in other homotopy classes than the grid path."""
         effort = problem.effort
         if problem.options.method == "dense" or not isinstance(effort, PlanarEffort) or effort.after_grid is None:
             return []
@@ -149,7 +153,10 @@ class TwoLevelGrid:
 
 
 class FirstGridPaths(FirstPaths):
-    """Straight lines, then trees to the goals that a flood of the grid does not exclude."""
+    """Straight lines, then trees to the remaining goals.
+
+    Goals are excluded by a flood of the grid.
+    """
 
     def excluded(self, problem: Problem) -> Sequence[NoPathError | None]:
         """Infeasibility proof of each goal on the planar grid; None without one."""
@@ -160,10 +167,10 @@ class FirstGridPaths(FirstPaths):
 
 
 class TreesAndGrids(Trees):
-    """Pairs of trees, and the shortest path on each of several coarse grids."""
+    """Paths of pairs of trees and of several coarse grids."""
 
     def others(self, problem: Problem, number: int) -> Sequence[Path]:
-        """Paths on coarse grids, compared with the paths of several pairs of trees."""
+        """Paths on coarse grids, compared with paths of trees."""
         found: list[Path] = []
         effort = problem.effort
         for attempt in effort.coarse_grids if isinstance(effort, PlanarEffort) else ():

@@ -80,7 +80,7 @@ def within_risk(solve: Solved) -> Solved:
         if options.risk is None:
             return solve(problem)
         if scene.moves:
-            raise MovingObstacleError(scene.first_moving, "a risk is of what stands still")
+            raise MovingObstacleError(scene.first_moving, "a risk bound takes scenes without moving bodies")
         with time_limit(options.deadline_s) as limit:
             try:
                 return _solved_at_risk(problem, options.risk, solve)
@@ -142,8 +142,8 @@ def _solved_at_risk(problem: Problem, risk: float, solve: Solved) -> PlanResult:
         allocation = _reallocated(allocation, shown, near, risk, deviations)
     if best is None:
         raise CertificationError(
-            f"no motion was found that touches something with a probability of at most {risk:g}: the least that was "
-            f"shown is {least:.3g}",
+            f"no motion was found whose contact probability is at most {risk:g}: the lowest bound that was "
+            f"proved is {least:.3g}",
             risk=risk,
             bound=least,
         )
@@ -153,7 +153,7 @@ def _solved_at_risk(problem: Problem, risk: float, solve: Solved) -> PlanResult:
 def _risk_of(result: PlanResult, scene: Scene, risk: float) -> TouchRisk:
     """The contact probability of a motion certified among grown obstacles."""
     if result.certificate.subject is None:
-        raise CertificationError("the motion's certificate does not say what it is about")
+        raise CertificationError("the motion's certificate has no digests")
     return touch_risk(result.certificate.subject, scene, risk)
 
 

@@ -45,18 +45,6 @@ from hplan.trajectory.corner_rounding import LEAST_DEVIATION, rounded_path
 from hplan.trajectory.timing import corner_grid
 
 
-class _ClearPath(NamedTuple):
-    """A polyline verified collision-free, near the given one.
-
-    Attributes:
-        waypoints: (m, dof) the polyline.
-        moved: Numbers of the given motions that it changes, counted from 1.
-    """
-
-    waypoints: FloatArray
-    moved: tuple[int, ...]
-
-
 def finish(
     robot: Robot,
     scene: Scene,
@@ -122,7 +110,9 @@ def finish(
     path = given_path(robot, waypoints)
     along = scene_along(robot, scene, path)
     if keep_within_rad is None and np.abs(path.points[-1] - path.points[0]).max() <= SAME:
-        raise InputError("the path ends where it begins: shortened, nothing is left of it; its shape can be kept")
+        raise InputError(
+            "the path ends where it begins, and shortening leaves nothing of it; keep its shape (keep_within_rad)"
+        )
     with stage_clock(progress) as clock, time_limit(options.deadline_s, cancel) as limit:
         try:
             return _finished(Problem.of(robot, along, options), path, keep_within_rad)
@@ -134,15 +124,23 @@ def _finished(problem: Problem, path: GivenPath, keep_within_rad: float | None) 
     """The result for a validated path."""
     robot, points = problem.robot, path.points
     problem.world.check_base(robot.yaw_of(points[0]))
-    clear = _shown_clear(problem, path)
+    clear, moved = _shown_clear(problem, path)
     problem = problem.between(points[0], points[-1])
-    if keep_within_rad is not None:
-        return _result(path, clear, _kept(problem, clear.waypoints, keep_within_rad))
-    return _result(path, clear, _smoothed(problem, clear.waypoints))
+    motion = _smoothed(problem, clear) if keep_within_rad is None else _kept(problem, clear, keep_within_rad)
+    given: dict[str, Any] = {
+        "waypoints": path.count,
+        "moved_segments": list(moved),
+        "length_rad": path_length(points),
+        "length_moved_rad": path_length(clear),
+        "length_finished_rad": 0.0 if motion.path is None else motion.path.length,
+    }
+    return replace(plan_result(Plan(motion)), told={"given": given})
 
 
-def _shown_clear(problem: Problem, path: GivenPath) -> _ClearPath:
+def _shown_clear(problem: Problem, path: GivenPath) -> tuple[FloatArray, tuple[int, ...]]:
     """The path, moved away from bodies that it is too close to.
+
+    The second value has the numbers of the given motions that it changes, counted from 1.
 
     Raises:
         PathInContactError: The path is in contact, or could not be moved away.
@@ -155,7 +153,7 @@ def _shown_clear(problem: Problem, path: GivenPath) -> _ClearPath:
         spare = float(field.along(points[[0, -1]]).min())
         margin = path_margin * min(MARGIN, 0.5 * spare) if spare > 0.0 else path_margin * MARGIN
         if spare > 0.0 and field.is_clear(points, margin):
-            return _ClearPath(points, ())
+            return points, ()
         places = list(places_of(world, path, margin))
         touching = [place for place in places if place.touches]
         ends = [place for place in places if place.at_waypoint and place.number in (0, len(points) - 1)]
@@ -176,7 +174,7 @@ def _shown_clear(problem: Problem, path: GivenPath) -> _ClearPath:
             "could not be moved away",
             segments=list(segments),
         )
-    return _ClearPath(clear, segments)
+    return clear, segments
 
 
 def _smoothed(problem: Problem, waypoints: FloatArray) -> Transit:
@@ -219,19 +217,6 @@ def _kept(problem: Problem, waypoints: FloatArray, deviation_rad: float) -> Tran
             path = rounded_path(waypoints, allowed)
     trajectory, certificate = certified_trajectory(problem, path, grid=corner_grid(path))
     return Transit("transit", trajectory, certificate, problem, waypoints, path, "given")
-
-
-def _result(path: GivenPath, clear: _ClearPath, motion: Transit) -> PlanResult:
-    """The result of a plan; its report describes the path."""
-    result = plan_result(Plan(motion))
-    given: dict[str, Any] = {
-        "waypoints": path.count,
-        "moved_segments": list(clear.moved),
-        "length_rad": path_length(path.points),
-        "length_moved_rad": path_length(clear.waypoints),
-        "length_finished_rad": 0.0 if motion.path is None else motion.path.length,
-    }
-    return replace(result, told={"given": given})
 
 
 #: Waypoints closer to each other than this in every joint are one; the same holds for path ends and the scene's start
@@ -292,7 +277,7 @@ def scene_along(robot: Robot, scene: Scene, path: GivenPath) -> Scene:
     if scene.moves:
         raise MovingObstacleError(scene.first_moving)
     if scene.start.is_moving:
-        raise InputError("the scene's start is in motion, and the motion along a given path begins at rest")
+        raise InputError("the scene's start is in motion, but the motion along a given path begins at rest")
     for joint in np.flatnonzero(robot.locked_mask(scene.locked_joints)).tolist():
         off = np.abs(path.points[:, joint] - path.points[0, joint])
         if off.max() > SAME:

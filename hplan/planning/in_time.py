@@ -54,11 +54,11 @@ def _plans_in_time(problem: Problem, solve: Solver, stop: Trajectory | None) -> 
     """
     robot, scene, options = problem.robot, problem.scene, problem.options
     if options.bound:
-        raise MovingObstacleError(scene.first_moving, "bounds of durations take scenes in which nothing moves")
+        raise MovingObstacleError(scene.first_moving, "duration bounds take scenes without moving bodies")
     for fruit in scene.fruits:
         if fruit.name == scene.goal.fruit and (fruit.track is not None or scene.base_track is not None):
             moving = None if fruit.track is None else fruit.name
-            raise MovingObstacleError(moving, "a fruit to pick must not move, as seen from the base")
+            raise MovingObstacleError(moving, "the fruit to pick must not move relative to the base")
     try:
         yield from _Search(problem, solve).plans()
     except ObstacleInTimeError:
@@ -153,7 +153,7 @@ class _Search:
     def _scenes(self) -> Iterator[tuple[str, Scene]]:
         """Static scenes whose paths are tried, each with a description."""
         scene = self._scene
-        yield "the path without what moves", without_moving(scene)
+        yield "the path without moving obstacles", without_moving(scene)
         # If that motion is hardly slower than without moving obstacles, no alternative is needed.
         if self.first is None or self.best_s <= 1.02 * self.first[0].duration:
             return
@@ -161,15 +161,15 @@ class _Search:
         when = min(self.first[1].nearest_s or 0.0, duration)
         # Maximum time span whose swept volume is avoided as a whole [s].
         end_s = min(duration + 0.5, 30.0)
-        yield "a path around all that it sweeps meanwhile", among_poses(scene, 0.0, end_s)
+        yield "a path around the space swept by the obstacle meanwhile", among_poses(scene, 0.0, end_s)
         # Half-width of the time window around the collision in which the obstacle's poses are avoided [s].
         meanwhile_s = 0.35
         yield (
-            "a path around where it is when it is in the way",
+            "a path around the obstacle at the time of the contact",
             among_poses(scene, max(0.0, when - meanwhile_s), when + meanwhile_s),
         )
-        yield "a path around where it is at first", among_poses(scene, 0.0, min(when, meanwhile_s))
-        yield "a path around where it is in the end", among_poses(scene, scene.at_rest_s, scene.at_rest_s)
+        yield "a path around the initial position of the obstacle", among_poses(scene, 0.0, min(when, meanwhile_s))
+        yield "a path around the final position of the obstacle", among_poses(scene, scene.at_rest_s, scene.at_rest_s)
 
     def _past(self, path: str, still: Plan) -> Plan | None:
         """The fastest certified motion along a path, or None."""
@@ -196,7 +196,7 @@ class _Search:
             except TimingError:
                 retimed = None
             if schedule is None or retimed is None:
-                self.tried.append(f"{path}: no timing that keeps {1e3 * spare_s:g} ms from what moves")
+                self.tried.append(f"{path}: no timing stays {1e3 * spare_s:g} ms away from the moving obstacles")
                 return None
             certificate = self._certified(still, retimed.trajectory)
             if certificate.verified:

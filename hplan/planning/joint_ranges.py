@@ -48,13 +48,16 @@ class Wall:
         return value > self.angle + ROUNDING if self.is_upper else value < self.angle - ROUNDING
 
     def no_path(self, robot: Robot, other: float) -> NoPathError:
-        """Return the error that names the contact blocking the joint, from the wall to another angle [rad]."""
+        """Return the error that names the contact blocking the joint.
+
+        The blocked range is from the wall to another angle [rad].
+        """
         low, high = sorted(np.degrees([self.angle, other]).tolist())
         contact = self.contact
         message = (
             f"no path exists: between start and goal, from {low:.4g} to {high:.4g} deg of joint "
-            f"{robot.joint_names[self.joint]!r}, {contact.link!r} is in {contact.other}, or nearer than the "
-            "clearance to keep, whatever the other joints do"
+            f"{robot.joint_names[self.joint]!r}, {contact.link!r} is in {contact.other} or closer than the "
+            "required clearance, for all positions of the other joints"
         )
         blocker = {"obstacle": contact.obstacle, "link": contact.link, "cells": 0, "slices_deg": (low, high)}
         return NoPathError(message, reached_cells=0, blockers=[blocker])

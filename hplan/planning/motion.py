@@ -171,7 +171,7 @@ def quickest(
             failures.append(error.with_traceback(None))
         else:
             return found
-    raise failures[0] if failures else CertificationError("no motion is quicker than the one that is known")
+    raise failures[0] if failures else CertificationError("no motion is faster than the known one")
 
 
 def motion_along(problem: Problem, polyline: Path, margin: float) -> Transit:

@@ -93,18 +93,18 @@ class PlanOptions(Options):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.risk is not None and not self.certify:
-            raise OptionError("risk", self.risk, "None where motions need not be certified")
+            raise OptionError("risk", self.risk, "None if motions need not be certified")
         if self.deadline_s is not None and self.bound:
-            raise OptionError("bound", self.bound, "False where there is a deadline: a bound may take seconds")
+            raise OptionError("bound", self.bound, "False with a deadline: a bound may take seconds")
 
     def refuse_risk(self) -> None:
-        """Refuse a risk for a task other than a single plan from rest to rest.
+        """Refuse a risk for tasks other than single plans at rest.
 
         Raises:
             OptionError: The options have a risk.
         """
         if self.risk is not None:
-            raise OptionError("risk", self.risk, "None: a risk is of a single plan from rest to rest")
+            raise OptionError("risk", self.risk, "None: only single plans from rest to rest have a risk bound")
 
     @property
     def standoff_m(self) -> float:

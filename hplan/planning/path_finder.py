@@ -256,7 +256,9 @@ class FirstPaths:
 def tree_paths(
     problem: Problem, effort: TreesEffort, known: Sequence[Path] = (), grown: int = 0, pairs: Pairs | None = None
 ) -> list[Path]:
-    """Paths of pairs of trees to the problem's first goal, the fastest of every homotopy class.
+    """Paths of pairs of trees to the problem's first goal.
+
+    The fastest path of every homotopy class.
 
     They are compared by their durations after shortcuts, but not shortened: shortened paths touch the margin and leave
     no room for smoothing.

@@ -112,7 +112,9 @@ def check_task(
 def solved(
     problem: Problem, *, progress: Progress = no_progress, before: Transit | None = None, stop: Trajectory | None = None
 ) -> PlanResult:
-    """Solve the problem of a scene, with an earlier motion to reuse and a stop to try.
+    """Solve the problem of a scene.
+
+    With an earlier motion to reuse and a stop to try.
 
     The deadline counts from the start of the enclosing time limit or, without one, from this call.
 
@@ -135,14 +137,14 @@ def solved(
     except (NoPathError, TimingError, CertificationError) as error:
         if not options.tracking.is_exact and options.deadline_s is None:
             fraction = _fraction_with_room(problem)
-            name_margin(
-                error, options.tracking, problem.robot.slides, fraction, "the motion found without one has room for"
-            )
+            name_margin(error, options.tracking, problem.robot.slides, fraction, "the motion found without one allows")
         raise
 
 
 def solver(before: Transit | None = None, stop: Trajectory | None = None) -> Solver:
-    """The solver of any problem: of a problem from rest among static obstacles, and its wrappers.
+    """The solver of any problem.
+
+    That of problems from rest among static obstacles, and its wrappers.
 
     Args:
         before: An earlier motion, kept or repaired if possible.

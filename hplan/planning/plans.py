@@ -36,7 +36,9 @@ from hplan.planning.stages import stage
 
 
 def with_all_efforts(solve: Solver) -> Solver:
-    """A solver that tries the budgets of the options in turn, each plan faster than the one before.
+    """A solver that tries the budgets of the options in turn.
+
+    Each plan is faster than the one before.
 
     The last plan results from the requested effort, or is as fast. The world is prepared before the solver returns.
     """
@@ -91,7 +93,7 @@ def _may_be_found(problem: Problem, effort: Effort, error: HplanError) -> bool:
 
 
 def plans_from_rest(problem: Problem) -> Iterator[Plan]:
-    """Plans with the effort of a problem, each faster than the one before.
+    """Plans with the effort of a problem, each faster than before.
 
     Raises:
         TimeIsUpError: The deadline has passed.
@@ -233,7 +235,7 @@ def _failure(target: Target, ordered: Sequence[Grasp], errors: Sequence[HplanErr
     room = max(grasp.room for grasp in ordered)
     if room < SPARE:
         remark = (
-            f"spare clearance {1e3 * room:.2g} mm at the grasp; with {1e3 * SPARE:g} mm there would be room to move"
+            f"spare clearance {1e3 * room:.2g} mm at the grasp; with {1e3 * SPARE:g} mm the arm would have room to move"
         )
         failure.add(remark, spare_clearance_m=room, needed_clearance_m=SPARE)
     return failure

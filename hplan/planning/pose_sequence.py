@@ -235,8 +235,8 @@ def _check_upright(poses: Sequence[FloatArray], up: FloatArray, direction: Float
         lean = math.acos(min(1.0, float(up @ pose[:3, :3] @ direction)))
         if lean > most:
             raise InputError(
-                f"poses[{k}]: tilted by {math.degrees(lean):.4g} deg from how the tool stands at the start; at poses "
-                f"no more than {_OF_TILT:g} of the tilt, {math.degrees(most):.4g} deg, leaves room",
+                f"poses[{k}]: tilted by {math.degrees(lean):.4g} deg from the orientation of the tool at the start; "
+                f"poses may use at most {_OF_TILT:g} of tilt_rad, {math.degrees(most):.4g} deg",
                 pose=k,
                 tilt_rad=lean,
             )
@@ -290,7 +290,7 @@ def _lines(task: _Poses, begin: FloatArray, number: int) -> Iterator[_Leg]:
                 yield leg._replace(path=path)
     if longest < 1.0:
         raise NotFoundError(
-            [f"the straight line to pose {number + 1}, of which {longest:.3g} was reached"], pose=number
+            [f"the straight line to pose {number + 1}, of which a fraction of {longest:.3g} was reached"], pose=number
         )
 
 
@@ -311,7 +311,7 @@ def _free(task: _Poses, begin: FloatArray, number: int, given_up: Sequence[Probl
     problem = task.problem
     ends = [end for end in _ends(task, begin, number) if _goes_on(task, end, number + 1)]
     if not ends:
-        tried = f"configurations at pose {number + 1}, from none of which the straight lines after it were found"
+        tried = f"configurations at pose {number + 1}; the next straight lines were found from none of them"
         raise NotFoundError([tried], pose=number)
     tasks = []
     for end in ends[: problem.effort.pose_goals]:
@@ -375,7 +375,7 @@ def _upright(tilt: _Tilt, tasks: Sequence[Problem], number: int, given_up: Seque
             reached, to = True, left[int((goals == path[-1]).all(axis=1).argmax())]
             yield _Leg(number, to, _shorter(tilt, to, path))
     if not reached:
-        tried = f"trees that stay upright, with {sum(_TREES)} evaluations, to pose {number + 1}"
+        tried = f"trees of upright configurations, with {sum(_TREES)} evaluations, to pose {number + 1}"
         raise NotFoundError([tried], pose=number)
 
 
@@ -507,12 +507,12 @@ def _certified(task: _Poses, leg: _Leg) -> _Leg:
             motion, bounds = (motion, bounds) if task.straight[leg.number] else _quicker(task, motion, bounds)
             return leg._replace(motion=motion, bounds=bounds)
         failure = failure or CertificationError(
-            f"to pose {leg.number + 1} the tool is shown to keep within {1e3 * bounds.deviation_m:.4g} mm of its line "
-            f"and {math.degrees(bounds.tilt_rad):.4g} deg of upright, which is more than allowed",
+            f"to pose {leg.number + 1} the deviation of the tool is bounded by {1e3 * bounds.deviation_m:.4g} mm from "
+            f"its line and {math.degrees(bounds.tilt_rad):.4g} deg from upright, which is more than allowed",
             pose=leg.number,
             **bounds._asdict(),
         )
-    raise failure or CertificationError(f"the path to pose {leg.number + 1} cannot be made smooth within its clearance")
+    raise failure or CertificationError(f"the path to pose {leg.number + 1} cannot be smoothed within its clearance")
 
 
 def _quicker(task: _Poses, motion: Transit, bounds: ToolBounds) -> tuple[Transit, ToolBounds]:

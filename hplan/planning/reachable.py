@@ -105,7 +105,7 @@ def reachable(
     check_task(robot, scene, options, progress)
     truth("motions", motions)
     if motions and scene.start.is_moving:
-        raise SceneError("motions begin at rest here; the start has a velocity or an acceleration", where="start")
+        raise SceneError("these motions begin at rest, but the start has a velocity or an acceleration", where="start")
     asked = PlanOptions() if options is None else options
     with stage_clock(progress), time_limit(asked.deadline_s, cancel) as limit:
         try:

@@ -112,6 +112,24 @@ class PlanResult(Record, InNotebook):
         reached = [phase.end_s for phase in self.phases if phase.name != "retreat"]
         return {} if fruit is None else {fruit: reached[-1]}
 
+    def row(self) -> dict[str, Any]:
+        """The main results, without nested values, for tables of many plans.
+
+        Keys: robot, verified, duration_s, min_clearance_m, nearest_link, nearest_obstacle, nearest_distance_m (of the
+        nearest pair; None without obstacles), fruit and planning_ms.
+        """
+        report = self.report
+        nearest = report["certificate"]["nearest"] or {"link": "", "obstacle": "", "distance_m": None}
+        return {
+            "robot": self.robot.name,
+            "verified": self.certificate.verified,
+            "duration_s": self.trajectory.duration,
+            "min_clearance_m": self.certificate.min_clearance_m,
+            **{f"nearest_{key}": nearest[key] for key in ("link", "obstacle", "distance_m")},
+            "fruit": self.scene.goal.fruit or "",
+            "planning_ms": self.time_ms["total"],
+        }
+
     def stop_at(self, t: float) -> CertifiedMotion:
         """The trajectory with a stop: the quickest one on its path.
 

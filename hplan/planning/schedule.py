@@ -1,4 +1,6 @@
-r"""The earliest time scaling of a motion past moving obstacles, through clear cells of path and time.
+r"""The earliest time scaling of a motion past moving obstacles.
+
+It passes through clear cells of path and time.
 
 A cell is the segment of the motion that takes `_STATION_S` at full speed, a station, during a time interval of one step
 plus an allowance for timing errors on both sides. It is clear if the arm at its middle is farther from all moving
@@ -23,7 +25,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -170,15 +172,6 @@ _LONGEST_S: Final = 120.0
 _NONE: Final = 1 << 30
 
 
-class Cells(Protocol):
-    """Clear stations of a path, row by row of time."""
-
-    configurations: FloatArray
-
-    def clear(self, row: int) -> BoolArray:
-        """(n,) mask of the stations that are clear in a row."""
-
-
 @dataclass(frozen=True, eq=False)
 class Schedule(Record):
     """A schedule: places along a path over time.
@@ -247,7 +240,7 @@ def room_to_change(motion: Trajectory, robot: Robot, stations: int) -> BoolArray
 
 
 def earliest_schedule(
-    cells: Cells,
+    cells: PathInTime,
     duration_s: float,
     room: BoolArray,
     *,

@@ -49,7 +49,7 @@ def from_motion(solve: Solver, stop: Trajectory | None = None) -> Solver:
         if state is None:
             return solve(problem)
         if problem.options.bound:
-            raise OptionError("bound", True, "False where the start is in motion")
+            raise OptionError("bound", True, "False if the start is in motion")
         return _plans_in_motion(problem, state, solve, stop)
 
     return solver

@@ -52,12 +52,18 @@ class Tool:
 
     @property
     def enough(self) -> int | None:
-        """With this number of approaches, shorter ones are not searched; None to search all lengths."""
+        """Number of approaches after which shorter ones are not searched.
+
+        None to search all lengths.
+        """
         return self._sampler.enough
 
     @property
     def more(self) -> int:
-        """Number of directions or samples that are tried if all of a smaller number collide."""
+        """Number of directions or samples tried in a second pass.
+
+        The second pass follows if all of a smaller number collide.
+        """
         return self._sampler.more
 
     def at(
@@ -88,7 +94,10 @@ class Tool:
         return Candidates(found, approach_angles(self._robot, found, pose[:3, 3]))
 
     def soonest(self, found: Candidates, count: int) -> Candidates:
-        """Return at most `count` configurations, the quickest to reach; all of a sampler that does not sort them."""
+        """Return at most `count` configurations, the quickest to reach.
+
+        All of a sampler that does not sort them.
+        """
         if not self._sampler.is_sorted or len(found.approach) <= count:
             return found
         return Candidates(frozen(found.configurations[:count]), frozen(found.approach[:count]))

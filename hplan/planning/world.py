@@ -214,7 +214,7 @@ class World(Record):
             raise InputError(
                 f"obstacle {worst.obstacle!r} is {-1e3 * worst.distance_m:.3g} mm deep in the robot's {worst.link!r}, "
                 + (f"at a yaw of {math.degrees(yaw):.4g} deg" if turns else "which does not move")
-                + ": move the obstacle, or the robot, or leave it out (--drop-inside)",
+                + ": move the obstacle or the robot, or remove the obstacle (--drop-inside)",
                 obstacle=worst.obstacle,
                 link=worst.link,
                 depth_m=-worst.distance_m,
@@ -250,8 +250,8 @@ def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str,
         )  # fmt: skip
         arms = [robot.owner_of(nearest.link), robot.owner_of(nearest.obstacle)]
         if is_own and arms[0] != arms[1]:
-            how = "if they touch by design, declare the pair in the cell's scene (may_touch:)"
-            error.add(f"the two arms stand too close together: move a base (position:); {how}", arms=arms)
+            how = "if they touch by design, declare the pair in the workcell's scene (may_touch:)"
+            error.add(f"the two arms are too close together: move a base (position:); {how}", arms=arms)
         elif is_own and robot.planar is None:
             _name_neighbours(error, checker, q)
         raise error
@@ -273,8 +273,8 @@ def _name_neighbours(error: ConfigurationInCollisionError, checker: CoalScene, q
     found = [list(pair) for pair in touching if frozenset(pair) in neighbours]
     if found:
         named = ", ".join(" and ".join(pair) for pair in found)
-        how = "say so by an SRDF (--srdf) or allow_neighbours (--allow-neighbours)"
-        error.add(f"are they meant to? Neighbours that touch here: {named}; {how}", neighbours=found)
+        how = "declare it with an SRDF (--srdf) or allow_neighbours (--allow-neighbours)"
+        error.add(f"is this intended? Neighbours that touch here: {named}; {how}", neighbours=found)
 
 
 def without_inside(robot: Robot, scene: Scene) -> tuple[Scene, tuple[str, ...]]:

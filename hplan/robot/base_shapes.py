@@ -1,4 +1,6 @@
-r"""Convex shapes of the arm's base: the fixed pedestal and the turret that turns with the yaw.
+r"""Convex shapes of the arm's base: pedestal and turret.
+
+The pedestal is fixed; the turret turns with the yaw.
 
 Both include the fixed links attached to them: a cabinet, a counterweight, a camera mast. A shape that is round about
 the yaw axis is the same at every yaw. A turn by :math:`\Delta\psi` moves any point of another shape by at most
@@ -33,7 +35,7 @@ BASE_DEPTH: Final = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class BaseShape:
-    """A convex shape of pedestal or turret; the convex hull for a mesh.
+    """A convex shape of the base; a mesh's convex hull.
 
     Attributes:
         number: Index among the geometry objects of `Robot.collision_model`.
@@ -64,7 +66,7 @@ class BaseShape:
 
     @property
     def follows_arm_plane(self) -> bool:
-        """True if its section with the arm plane is the same at every yaw.
+        """True if its section is the same at every yaw.
 
         This holds for round shapes and for shapes that turn with the plane.
         """
@@ -87,7 +89,10 @@ class BaseShape:
         return float(self.core[:, 2].max()) + self.rounding
 
     def distance_from(self, point: FloatArray) -> float:
-        """Distance from a (3,) point, both at yaw 0 [m]; at most 0 inside."""
+        """Distance from a (3,) point [m]; at most 0 inside.
+
+        Both are at yaw 0.
+        """
         ball, at = coal.Sphere(_SPECK), pin.SE3(np.eye(3), point)
         return coal_distance(self.placed.geometry, self.placement, ball, at) + _SPECK
 
@@ -103,13 +108,19 @@ _SPECK = 1e-3
 
 @made_once
 def base_shapes(robot: Robot) -> tuple[BaseShape, ...]:
-    """Shapes of pedestal and turret in URDF order; without a yaw the turret is fixed."""
+    """Shapes of pedestal and turret in URDF order.
+
+    Without a yaw the turret is fixed.
+    """
     objects = enumerate(robot.collision_model.geometryObjects)
     return tuple(_base_shape(robot, number) for number, shape in objects if shape.parentJoint <= robot.yaw_joints)
 
 
 def turning_shapes(robot: Robot) -> tuple[BaseShape, ...]:
-    """Turret shapes that change with the yaw: those not round about the yaw axis."""
+    """Turret shapes that are not round about the yaw axis.
+
+    These change with the yaw.
+    """
     shapes = base_shapes(robot) if base_joints(robot) else ()
     return tuple(shape for shape in shapes if shape.carrier == TURRET and not shape.is_round)
 
@@ -124,7 +135,7 @@ def base_joints(robot: Robot) -> int:
 
 @made_once
 def base_radius(robot: Robot) -> float:
-    """Radius of a ball that contains pedestal and turret at every yaw [m].
+    """Radius of a ball that contains the base at every yaw [m].
 
     The ball's centre is the origin of `base_link`.
     """
@@ -150,7 +161,9 @@ def filled(shape: pin.GeometryObject) -> coal.CollisionGeometry:
 
 
 def ever(distance: Callable[[float], float], low: float, high: float, rate: float, level: float) -> bool:
-    """True if a distance nearly reaches a level in an interval; False is certain.
+    """True if a distance nearly reaches a level in an interval.
+
+    False is certain.
 
     Args:
         distance: Distance as a function of the parameter [m].

@@ -106,8 +106,8 @@ def describe_shape_faults(robot: str, faults: Iterable[ShapeFault]) -> str:
     """Sentence that names the faults of a robot and the remedy."""
     listed = "; ".join(map(str, faults))
     return (
-        f"robot {robot!r}: collision shapes do not fit the drawn links, and plans and certificates hold for the shapes "
-        f"alone: {listed}. collision_from_visual=True (--collision-from-visual) builds these shapes from the visuals"
+        f"robot {robot!r}: collision shapes do not match the drawn links, and plans and certificates hold only for the "
+        f"shapes: {listed}. collision_from_visual=True (--collision-from-visual) builds them from the visuals"
     )
 
 
@@ -178,7 +178,7 @@ def _misfit(link: str, drawn: FloatArray, shape: FloatArray, around: FloatArray)
     if not len(drawn):
         return None
     ours, theirs = _diagonal(shape), _diagonal(drawn)
-    sizes = f"is {theirs:.3g} m across as drawn, but its collision shape {ours:.3g} m, as if in other units"
+    sizes = f"is {theirs:.3g} m across as drawn, but its collision shape is {ours:.3g} m across, as if in other units"
     if ours * _SMALLER <= theirs:
         return ShapeFault(link, sizes)
     if theirs >= _DUMMY_M and ours >= _LARGER * theirs:
@@ -188,7 +188,7 @@ def _misfit(link: str, drawn: FloatArray, shape: FloatArray, around: FloatArray)
     directions = _DIRECTIONS.T / np.linalg.norm(_DIRECTIONS, axis=1)
     stands_out = float(((drawn @ directions).max(axis=0) - (around @ directions).max(axis=0)).max())
     if stands_out > max(_STANDS_OUT_M, _STANDS_OUT * theirs):
-        return ShapeFault(link, f"stands out of its collision shape by {1e3 * stands_out:.0f} mm as drawn")
+        return ShapeFault(link, f"protrudes from its collision shape by {1e3 * stands_out:.0f} mm as drawn")
     return None
 
 

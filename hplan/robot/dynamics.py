@@ -49,7 +49,10 @@ def joints_that_slide(model: pin.Model) -> tuple[bool, ...]:
 
 
 def joint_axis(model: pin.Model, joint: int) -> tuple[FloatArray, bool]:
-    """(3,) unit axis of a joint of the model in its own frame, and True for a prismatic joint."""
+    """(3,) unit axis of a joint, and whether it is prismatic.
+
+    The axis is in the joint's own frame.
+    """
     moved = model.joints[joint]
     data = moved.createData()
     moved.calc(data, np.zeros(1))

@@ -92,7 +92,7 @@ def check_joints(path: Path, model: pin.Model) -> None:
     for index in range(1, model.njoints):
         name, kind = model.names[index], model.joints[index].shortname()
         if kind not in TURNING + SLIDING:
-            advice = hold_advice(name) if model.joints[index].nq == 1 else "make it fixed where it stands"
+            advice = hold_advice(name) if model.joints[index].nq == 1 else "make it a fixed joint"
             reason = f"it is a {kind}; only revolute and prismatic joints move; {advice}"
             raise RobotFileError(path, f"joint {name!r}: {reason}")
         axis = model.joints[index].createData()
@@ -126,7 +126,7 @@ def _joint_axes(model: pin.Model, data: pin.Data) -> FloatArray:
 
 
 def _has_yaw(model: pin.Model, axes: FloatArray) -> bool:
-    """True if joint 0 is vertical and the other joints are not parallel to it."""
+    """True if joint 0 alone is vertical."""
     if len(axes) == 1:
         return False
     between = _angle_between(axes[0], axes[1])
@@ -134,7 +134,7 @@ def _has_yaw(model: pin.Model, axes: FloatArray) -> bool:
         return False
     joint, tilt = f"joint {model.names[1]!r}", _angle_between(axes[0], np.array([0.0, 0.0, 1.0]))
     if tilt > _AXIS_TOLERANCE:
-        reason = "it is not parallel to the next joint and not vertical either" + _nearly(min(between, tilt))
+        reason = "it is neither parallel to the next joint nor vertical" + _nearly(min(between, tilt))
         raise RobotFamilyError(model.name, joint, reason)
     if axes[0, 2] < 0.0:
         raise RobotFamilyError(model.name, joint, "the yaw axis points down; turn it to +z")
@@ -146,7 +146,7 @@ def _has_yaw(model: pin.Model, axes: FloatArray) -> bool:
 
 
 def _plane(model: pin.Model, axes: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Axes of the arm plane, and the joints and the tool in it.
+    """Axes of the arm plane, and joints and tool in it.
 
     The (3, 3) rows are the horizontal axis, the upward axis and the normal.
     """
@@ -179,7 +179,7 @@ def _link_name(model: pin.Model, joint: int) -> str:
 def _capsule(
     shapes: Sequence[pin.GeometryObject], placement: pin.SE3, ends: FloatArray, normal: FloatArray
 ) -> tuple[float, float]:
-    """Radius and lateral offset of the smallest capsule around a link's shapes [m].
+    """Radius and lateral offset of a link's smallest capsule [m].
 
     The capsule's axis is the link's axis in the arm plane or, if that makes it thinner, a parallel to it off the plane.
     """
@@ -191,7 +191,9 @@ def _capsule(
 
 
 def _angle_between(axis: FloatArray, other: FloatArray) -> float:
-    """Angle between two lines given by unit vectors, from 0 to pi/2 [rad].
+    """Angle between two lines, from 0 to pi/2 [rad].
+
+    The lines are given by unit vectors.
 
     It uses atan2, because the arccosine loses small angles.
     """
@@ -200,15 +202,15 @@ def _angle_between(axis: FloatArray, other: FloatArray) -> float:
 
 def hold_advice(joint: str) -> str:
     """End of a message: the argument that holds a joint."""
-    return f"hold={{{joint!r}: 0.0}} (--hold {joint}=0) lets it stand still"
+    return f"hold={{{joint!r}: 0.0}} (--hold {joint}=0) locks it"
 
 
 def _nearly(angle: float) -> str:
-    """Advice about an axis that misses its intended direction by a small angle."""
+    """Advice about an axis that is off by a small angle."""
     if angle > 0.01:
         return ""
     return (
-        f", by {angle:.3g} rad, of which {_AXIS_TOLERANCE:g} is taken: write angles in full, a right one as "
+        f" by {angle:.3g} rad, more than the tolerance of {_AXIS_TOLERANCE:g}: write angles in full, a right angle as "
         "1.5707963267948966, or turn the <axis> instead of the <origin>"
     )
 
@@ -229,7 +231,9 @@ def _enclosing_radius(shape: pin.GeometryObject, joint_placement: pin.SE3, start
 def _outline_about(
     shape: pin.GeometryObject, joint_placement: pin.SE3, ends: FloatArray, normal: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Offsets of a shape's points from the plane, their distances from the link's axis, and rounding [m].
+    """Offsets of a shape's points, their distances, and rounding [m].
+
+    Offsets are from the plane, distances from the link's axis.
 
     The distances from the axis are measured in projection along the plane's normal.
     """
@@ -244,7 +248,9 @@ def _outline_about(
 
 
 def _thinnest(outlines: Sequence[tuple[FloatArray, FloatArray, float]]) -> float:
-    """Offset from the plane that makes the capsule around all outlines thinnest [m].
+    """Offset from the plane with the thinnest capsule [m].
+
+    The capsule contains all outlines.
 
     The offset is 0 if a nonzero one brings no gain. The radius, a maximum of distances, is convex in the offset, so
     golden-section search finds the minimum.

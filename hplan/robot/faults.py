@@ -1,4 +1,4 @@
-"""Collects the faults of a robot file, so that one error reports them all."""
+"""Collects the faults of a robot file for one error."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Faults:
         self.found += [fault for fault in faults if fault not in self.found]
 
     def mend(self, what: str) -> None:
-        """Add a harmless fault; one that is known already is not added again."""
+        """Add a harmless fault, once."""
         if what not in self.mended:
             self.mended.append(what)
 
@@ -54,7 +54,9 @@ class Faults:
 
 
 def split_line(fault: str) -> tuple[int, str]:
-    """Line number of a fault, and the fault without it; 0 if it has none.
+    """Line number of a fault, and the fault without it.
+
+    The number is 0 without one.
 
     Examples:
         >>> split_line("line 12: joint 'elbow': it has no <limit>")

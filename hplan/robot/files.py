@@ -128,12 +128,12 @@ def read_srdf(path: Path, links: Collection[str] | None = None) -> tuple[tuple[s
     """
     root = read_urdf_xml(path)
     if root.find("link") is not None:
-        raise RobotFileError(path, "it is a URDF, for it has a <link>; expected an SRDF, with <disable_collisions>")
+        raise RobotFileError(path, "it is a URDF because it has a <link>; expected an SRDF with <disable_collisions>")
     found, named = [], []
     for element in root.iter("disable_collisions"):
         pair = [element.get(key) for key in ("link1", "link2")]
         if not all(pair):
-            raise RobotFileError(path, f"{line_of(element)}<disable_collisions> names no two links")
+            raise RobotFileError(path, f"{line_of(element)}<disable_collisions> does not name two links")
         named.append(pair)
         reason = (element.get("reason") or "by the SRDF").strip()
         # A pair that was never seen to touch may still touch, so it is checked.
@@ -141,7 +141,9 @@ def read_srdf(path: Path, links: Collection[str] | None = None) -> tuple[tuple[s
             found.append((str(pair[0]), str(pair[1]), reason))
     if links is not None and named and not any(set(pair) <= set(links) for pair in named):
         first, second = named[0]
-        reason = f"it is another robot's: of its pairs, {first!r} and {second!r} first, none is of this one's links"
+        reason = (
+            f"it is for another robot: none of its pairs, {first!r} and {second!r} first, is of links of this robot"
+        )
         raise RobotFileError(path, f"{reason}: {', '.join(links)}")
     return tuple(found)
 
@@ -241,7 +243,7 @@ def build_models(
     except (ValueError, RuntimeError) as error:
         of_mesh = str(error).partition("message: ")[2].partition("\nHint:")[0].replace("\n", " ")
         cause = of_mesh or str(error)
-        reason = f"Pinocchio refuses it: {cause} (its reader's own words, if any, are on the terminal)"
+        reason = f"Pinocchio refuses it: {cause} (its own messages, if any, are on the terminal)"
         raise RobotFileError(urdf_path, reason) from error
     check_models(urdf_path, urdf, models[0], models[1])
     for model in models[1:]:
@@ -251,7 +253,10 @@ def build_models(
 
 
 def _check_meshes(faults: Faults, shapes: pin.GeometryModel) -> None:
-    """Find meshes with vertices that are not finite, or farther away than any arm is long."""
+    """Find meshes with vertices that are not finite or too far.
+
+    Too far is farther than any arm is long.
+    """
     # No arm is as long, not even in millimetres read as metres [m].
     farthest = 1000.0
     for shape in shapes.geometryObjects:

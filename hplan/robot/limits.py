@@ -19,7 +19,7 @@ def check_rate(rate_hz: float) -> None:
         OptionError: `rate_hz` is not between 1 and 100000.
     """
     number(
-        "rate_hz", rate_hz, "a number of rows per second between 1 and 100000", lambda rate: 1.0 <= rate <= 100_000.0
+        "rate_hz", rate_hz, "a number of samples per second between 1 and 100000", lambda rate: 1.0 <= rate <= 100_000.0
     )
 
 

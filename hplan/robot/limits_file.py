@@ -1,4 +1,6 @@
-"""Limits files: acceleration and jerk limits, and others in place of the URDF's.
+"""Limits files: acceleration, jerk and other limits of joints.
+
+Velocities and efforts replace those of the URDF.
 
 Read are hplan's own format and MoveIt's `joint_limits.yaml`.
 """
@@ -52,7 +54,10 @@ class _LimitsFile(StrictModel):
 
 
 class _MoveItJoint(StrictModel):
-    """Limits of one joint in MoveIt's file; a limit counts if its `has_` key is true."""
+    """Limits of one joint in MoveIt's file.
+
+    A limit counts if its `has_` key is true.
+    """
 
     model_config = ConfigDict(extra="ignore")
 
@@ -122,7 +127,7 @@ def _read_tables(path: Path) -> _Tables:
         places = (f"line {error.line}" if error.line else None), error.where
         hint = f"; expected format: {LIMITS_FORMAT}" if error.where == "format" else ""
         if not is_file(path):
-            hint = f"; it gives the acceleration limits, where the URDF does not: {LIMITS_ADVICE}"
+            hint = f"; it gives the acceleration limits that the URDF lacks: {LIMITS_ADVICE}"
         raise RobotFileError(path, ": ".join([*filter(None, places), error.reason + hint])) from error
     turning, sliding = (
         {quantity: getattr(own, keys[side]) for quantity, keys in LIMIT_KEYS.items() if getattr(own, keys[side])}
@@ -198,7 +203,7 @@ def find_limits(
     def listed(key: str) -> FloatArray:
         for name, limit in zip(joint_names, limits, strict=True):
             if key not in limit:
-                reason = f"joint {name!r}: <limit> has no {key}, as others have: {LIMITS_ADVICE}"
+                reason = f"joint {name!r}: <limit> has no {key}, unlike other joints: {LIMITS_ADVICE}"
                 raise RobotFileError(urdf_path, line_of(urdf.joints[name].element) + reason)
         return np.array([limit[key] for limit in limits])
 
@@ -208,7 +213,8 @@ def find_limits(
 #: Advice on how to specify limits.
 LIMITS_ADVICE: Final = (
     "write acceleration (and jerk) into every <limit> (URDF 1.2), or give a limits file (limits, --limits; "
-    f"hplan inspect --write-limits writes one), or the name of a robot whose limits ship: {', '.join(robot_names())}"
+    "hplan inspect --write-limits writes one), or the name of a robot whose limits ship with hplan: "
+    f"{', '.join(robot_names())}"
 )
 
 
@@ -250,9 +256,9 @@ def read_limits(
         found = {**turning, **sliding}
         for name in sliding:
             if not kinds.get(name, True):
-                raise RobotFileError(path, f"{keys[1]}: joint {name!r} turns; it belongs in {keys[0]}")
+                raise RobotFileError(path, f"{keys[1]}: joint {name!r} is revolute; it belongs in {keys[0]}")
             if name in turning:
-                raise RobotFileError(path, f"{keys[1]}: joint {name!r} is in {keys[0]} too")
+                raise RobotFileError(path, f"{keys[1]}: joint {name!r} is also in {keys[0]}")
         missing = [name for name in joint_names if not found.get(name, 0.0) > 0.0]
         unknown = [name for name in found if name not in kinds and name not in known and not tables.is_moveit]
         if missing and tables.is_moveit:
@@ -264,7 +270,7 @@ def read_limits(
 
     acceleration = ordered("acceleration")
     if acceleration is None:
-        lacking = "acceleration_rad_s2 is missing, of joints that slide acceleration_m_s2"
+        lacking = "acceleration_rad_s2 is missing, or acceleration_m_s2 of prismatic joints"
         if tables.is_moveit:
             lacking = "joint_limits: no joint has has_acceleration_limits: true and a positive max_acceleration"
         raise RobotFileError(path, lacking)

@@ -1,4 +1,7 @@
-"""Finds the mesh files of a URDF: packages, relative names, missing files, COLLADA units."""
+"""Finds the mesh files of a URDF.
+
+Handles packages, relative names, missing files and COLLADA units.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,10 @@ class MeshFinder:
         self._packages: dict[str, Path | None] = {}
 
     def find(self, name: str) -> Path | None:
-        """File of a mesh; None if it is missing, or has an address that only Pinocchio knows."""
+        """File of a mesh; None if it is not found.
+
+        Pinocchio may know the address of a missing one.
+        """
         if name.startswith(_PACKAGE):
             within = name.partition("://")[2].lstrip("/")
             package, _, inside = within.partition("/")
@@ -56,7 +62,9 @@ class MeshFinder:
         return next(filter(is_file, (folder / part for part in names for folder in folders)), None)
 
     def locate(self, root: ET.Element, faults: Faults) -> bool:
-        """Write the files of all meshes into the elements, and their units; returns True if anything changed.
+        """Write mesh files and units; return True if anything changed.
+
+        They are written into the elements.
 
         Args:
             root: Root element of the URDF; changed in place.
@@ -68,10 +76,10 @@ class MeshFinder:
             found = self.find(name)
             if found is None:
                 if not _is_foreign(name):
-                    looked = ", ".join(map(str, self._folders)) or "no folder, for it is a text"
+                    looked = ", ".join(map(str, self._folders)) or "no folder, because the URDF was given as text"
                     faults.add(
                         f"{line_of(mesh)}mesh {name!r} is not found; looked for in {looked}, with and without the "
-                        "package's name; package_dirs=[FOLDER] (--package-dir FOLDER) says where packages are"
+                        "package's name; package_dirs=[FOLDER] (--package-dir FOLDER) names the folders of packages"
                     )
                 continue
             if name.startswith(_PACKAGE) or not is_file(self._path.parent / name.removeprefix("file://")):
@@ -125,7 +133,10 @@ class MeshFinder:
 
 
 def is_mesh(file: Path) -> bool:
-    """True if coal can read a mesh of finite vertices from a file."""
+    """True if coal can read a mesh from a file.
+
+    With finite vertices.
+    """
     try:
         mesh = coal.MeshLoader().load(str(file), np.ones(3))
         return bool(mesh.num_tris) and bool(np.isfinite(np.asarray(mesh.vertices())).all())
@@ -139,7 +150,10 @@ def _is_foreign(name: str) -> bool:
 
 
 def _collada_unit(file: Path) -> float:
-    """Unit of a COLLADA file [m]; 1 for other files. Pinocchio's reader ignores it."""
+    """Unit of a COLLADA file [m]; 1 for other files.
+
+    Pinocchio's reader ignores it.
+    """
     if file.suffix.lower() != ".dae":
         return 1.0
     # The unit is in the head of the file.

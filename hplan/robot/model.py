@@ -54,7 +54,7 @@ _P = ParamSpec("_P")
 
 @dataclass(frozen=True, eq=False)
 class Robot(PlanarNames, Record):
-    """Robot: Pinocchio models, joint limits and, if it has one, its planar chain.
+    """Robot: Pinocchio models, joint limits and the planar chain, if any.
 
     The attributes of `planar` are also attributes of the robot (`robot.arm`, `robot.has_yaw`); they raise
     `RobotFamilyError` if the robot does not belong to the planar family.
@@ -111,14 +111,19 @@ class Robot(PlanarNames, Record):
         return f"<Robot {self.name!r}: {self.dof} joints ({joints}), tool frame {self.tool_frame!r}>"
 
     def owner_of(self, link: str) -> str | None:
-        """Name of the arm that a link belongs to; None for a single robot or an unknown link.
+        """Name of the arm that a link belongs to.
+
+        None for a single robot or an unknown link.
 
         Several arms joined to one robot (`hplan.robot.several`) each own the links of their URDF.
         """
         return self.owners.get(link)
 
     def link_in_words(self, link: str) -> str:
-        """Name of a link for messages; includes its arm for a multi-arm robot."""
+        """Name of a link for messages.
+
+        Includes its arm for a multi-arm robot.
+        """
         arm = self.owner_of(link)
         return f"link {link!r}" if arm is None else f"link {link.removeprefix(f'{arm}_')!r} of arm {arm!r}"
 
@@ -130,7 +135,9 @@ class Robot(PlanarNames, Record):
             RobotFamilyError: The robot does not belong to the family; the message names the element and the reason.
         """
         if self.planar is None:
-            raise RobotFamilyError(self.name, *(self.beyond_family or ("joints", "they are not those of one")))
+            raise RobotFamilyError(
+                self.name, *(self.beyond_family or ("joints", "they are not the joints of a planar arm"))
+            )
         return self.planar
 
     def with_arm(self, arm: PlanarArm) -> Robot:
@@ -143,7 +150,10 @@ class Robot(PlanarNames, Record):
 
     @property
     def uncovered_links(self) -> tuple[str, ...]:
-        """Names of links with visuals that no collision shape covers; plans and certificates ignore them."""
+        """Names of links with visuals that no collision shape covers.
+
+        Plans and certificates ignore these visuals.
+        """
         return tuple(fault.link for fault in self.shape_faults if not fault.is_covered)
 
     @property
@@ -153,7 +163,10 @@ class Robot(PlanarNames, Record):
 
     @cached_property
     def slides(self) -> tuple[bool, ...]:
-        """True for each prismatic joint; its values are in metres and its effort in newtons."""
+        """True for each prismatic joint.
+
+        Its values are in metres and its effort in newtons.
+        """
         return joints_that_slide(self.model)
 
     @property
@@ -168,7 +181,10 @@ class Robot(PlanarNames, Record):
 
     @cached_property
     def tool_axis(self) -> FloatArray:
-        """(3,) pointing direction in the tool frame: z, or along the last link (`hplan.robot.tool_axis`)."""
+        """(3,) pointing direction in the tool frame.
+
+        It is z, or along the last link (`hplan.robot.tool_axis`).
+        """
         return find_tool_axis(self.model, self.frame_number(self.tool_frame))
 
     @cached_property
@@ -176,7 +192,10 @@ class Robot(PlanarNames, Record):
         return {}
 
     def cached(self, key: Hashable, make: Callable[[], _T]) -> _T:
-        """Return `make`'s result, computed once per key; for values that depend on the robot alone."""
+        """Return `make`'s result, computed once per key.
+
+        For values that depend on the robot alone.
+        """
         if key not in self._made:
             self._made[key] = make()
         made: _T = self._made[key]
@@ -188,7 +207,9 @@ class Robot(PlanarNames, Record):
         return InverseDynamics.of(self.model)
 
     def yaw_of(self, q: ArrayLike) -> float:
-        """Yaw of a configuration: 0 for a robot without one, and for a general (non-planar) arm.
+        """Yaw of a configuration; 0 for a robot without one.
+
+        Also 0 for a general (non-planar) arm.
 
         Raises:
             InputError: `q` is not a (dof,) list of finite numbers.
@@ -206,7 +227,7 @@ class Robot(PlanarNames, Record):
         return self.forward_kinematics(q)[..., :3, 3] if self.planar is None else self.planar.tool_positions(q)
 
     def forward_kinematics(self, q: ArrayLike, frame: str | None = None) -> FloatArray:
-        """Poses of a frame in `base_link`, (..., dof) -> (..., 4, 4) homogeneous matrices.
+        """Poses of a frame in `base_link`, (..., dof) -> (..., 4, 4).
 
         Args:
             q: (..., dof) configurations.
@@ -226,7 +247,9 @@ class Robot(PlanarNames, Record):
     tool_poses = forward_kinematics  # its earlier name
 
     def frame_number(self, name: str) -> int:
-        """Index in the model of a named frame; prefers the link if several frames share the name.
+        """Index in the model of a named frame.
+
+        Prefers the link if several frames share the name.
 
         Raises:
             InputError: The robot has no frame of that name.
@@ -235,7 +258,7 @@ class Robot(PlanarNames, Record):
         found = frame_number(self.model, name) if is_name else self.model.nframes
         if found == self.model.nframes:
             names = ", ".join(frame.name for frame in self.model.frames if frame.type == pin.FrameType.BODY)
-            raise InputError(f"frame {name!r} is not of the robot; it has {names}", frame=name)
+            raise InputError(f"the robot has no frame {name!r}; it has {names}", frame=name)
         return found
 
     def locked_mask(self, names: Sequence[str]) -> BoolArray:
@@ -285,7 +308,9 @@ class Robot(PlanarNames, Record):
     def joints_of(self, values: JointValues, which: str) -> FloatArray | None: ...
 
     def joints_of(self, values: JointValues, which: str) -> FloatArray | None:
-        """Joint values of a start or goal, unchecked [rad, m]; None for non-joint goals.
+        """Joint values of a start or goal, unchecked [rad, m].
+
+        None for non-joint goals.
 
         Args:
             values: A scene's start or goal.
@@ -297,7 +322,7 @@ class Robot(PlanarNames, Record):
         if values.joints_deg is not None and any(self.slides):
             name = self.joint_names[self.slides.index(True)]
             raise InputError(
-                f"{which}: joints_deg, but joint {name!r} slides; give joints_rad: radians, and metres of what slides",
+                f"{which}: joints_deg, but joint {name!r} is prismatic; give joints_rad: in radians or metres",
                 which=which,
                 joint=name,
             )
@@ -385,7 +410,9 @@ def load_robot(
     collision_from_visual: bool | Sequence[str] = False,
     xacro_args: Mapping[str, str] | None = None,
 ) -> Robot:
-    """Load a robot from URDF or xacro; joints that do not move become fixed.
+    """Load a robot from URDF or xacro.
+
+    Joints that do not move become fixed.
 
     Args:
         path: URDF or xacro file, or the URDF text itself (begins with `<`); None for the harvester that ships with
@@ -470,7 +497,7 @@ def _read_robot(
     collision_from_visual: bool | Sequence[str] = False,
     xacro_args: Mapping[str, str] | None = None,
 ) -> tuple[Robot, AdaptedUrdf]:
-    """Return the robot of `load_robot`, and the URDF that it was built from."""
+    """Return the robot of `load_robot`, and its URDF."""
     files = robot_files(path)
     given = files.limits if limits is None else limits_file(file_path("limits", limits))
     frame = instance("tool_frame", files.tool_frame if tool_frame is None else tool_frame, str)
@@ -575,7 +602,9 @@ def _built(
         if not broken:
             raise
         if not mend:
-            error.add(f"collision_from_visual={list(broken)} (--collision-from-visual) builds shapes from the visuals")
+            error.add(
+                f"collision_from_visual={list(broken)} (--collision-from-visual) builds the shapes from the visuals"
+            )
             raise
     return _built(urdf_path, text, replace(choice, from_visual=broken))
 

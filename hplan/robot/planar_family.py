@@ -72,7 +72,7 @@ class PlanarArm(Record):
 
 @dataclass(frozen=True, eq=False)
 class PlanarFamily(Record):
-    """Planar chain of an arm of the family, and its placement in `base_link`.
+    """Planar chain of an arm, and its placement in `base_link`.
 
     Attributes:
         has_yaw: True if joint 0 turns the arm plane about the vertical.
@@ -89,7 +89,10 @@ class PlanarFamily(Record):
 
     @property
     def yaw_joints(self) -> int:
-        """Number of joints before the planar ones: 1 with a yaw, else 0."""
+        """Number of joints before the planar ones.
+
+        1 with a yaw, else 0.
+        """
         return int(self.has_yaw)
 
     @property
@@ -154,7 +157,7 @@ class PlanarFamily(Record):
 
     @property
     def yaw_radius(self) -> FloatArray:
-        """(links,) maximum distance of each link's axis points from the yaw axis [m]."""
+        """(links,) maximum distance of link axes from the yaw axis [m]."""
         ahead, across = self.shoulder_from_axis
         radius: FloatArray = np.hypot(abs(ahead) + np.cumsum(self.arm.lengths), across + self.arm.lateral)
         return radius
@@ -167,7 +170,7 @@ class PlanarFamily(Record):
 
 
 class _OfFamily(Generic[_T]):
-    """Descriptor that forwards to the attribute of the same name of the robot's `family`."""
+    """Descriptor that forwards to an attribute of the robot's `family`."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name

@@ -1,4 +1,6 @@
-"""Finds the links of a planar arm that can touch each other or the arm's base, as capsules.
+"""Finds the link pairs of a planar arm that can touch.
+
+Links are capsules; pairs with the arm's base are included.
 
 Pairs whose capsules *always* touch are excluded: neighbours about their joint, links held together by the links between
 them, and a link and the shape that carries its joint. Pairs of the last two kinds are checked with the URDF's shapes
@@ -106,7 +108,9 @@ def radius_in_plane(radius: float, aside: float) -> float:
 
 
 def held_apart(arm: PlanarArm, i: int, j: int) -> float:
-    """Upper bound on the gap between the capsules of links i and j [m].
+    """Upper bound on the gap between two links' capsules [m].
+
+    Those of links i and j.
 
     The links between the two hold the end of link i near the start of link j.
     """
@@ -155,7 +159,9 @@ def _bodies(robot: Robot, arm: PlanarArm, deviation: float, clearance: float) ->
 
 
 def is_held(robot: Robot, shape: BaseShape, deviation: float, link: int, clearance: float = 0.0) -> bool:
-    """True if a link is within the clearance of a base shape at every yaw.
+    """True if a link always violates a base shape's clearance.
+
+    At every yaw.
 
     A link of half-width w starts at most the sum of the preceding lengths from the shoulder. It therefore always
     touches a shape within w minus that sum of the shoulder, taken at the link's lateral offset from the plane.
@@ -180,7 +186,10 @@ def is_held(robot: Robot, shape: BaseShape, deviation: float, link: int, clearan
 
 
 def _swept(shape: BaseShape) -> FloatArray:
-    """Core points of a hull that, grown by the rounding, contains a shape's yaw sweep."""
+    """Core points of a hull around a shape's yaw sweep.
+
+    The hull is grown by the rounding.
+    """
     points = shape.core - shape.axis
     # The sweep lies in the hull of the rings that the points sweep.
     profile = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])

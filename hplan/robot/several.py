@@ -86,13 +86,13 @@ def _declared(
     for first, second, reason in pairs:
         for arm, link in (first, second):
             if arm not in arms:
-                raise InputError(f"may_touch: arm {arm!r} is not of the cell; it has {', '.join(arms)}", robot=arm)
+                raise InputError(f"may_touch: the workcell has no arm {arm!r}; it has {', '.join(arms)}", robot=arm)
             links = _link_names(arms[arm][0])
             if link not in links:
                 known = f"{link!r} is not a link of arm {arm!r}; its links are {', '.join(links)}"
                 raise InputError(f"may_touch: {known}", robot=arm, link=link)
         if first[0] == second[0]:
-            declared = f"links {first[1]!r} and {second[1]!r} are both of arm {first[0]!r}"
+            declared = f"links {first[1]!r} and {second[1]!r} both belong to arm {first[0]!r}"
             raise InputError(f"may_touch: {declared}; the pairs of one arm are in its SRDF", robot=first[0])
         yield "_".join(first), "_".join(second), reason
 

@@ -1,4 +1,7 @@
-"""Direction in which a tool points: along its z axis, or along the last link."""
+"""Direction in which a tool points.
+
+It is along the z axis of its frame, or along the last link.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +44,10 @@ def find_tool_axis(model: pin.Model, frame: int) -> FloatArray:
 
 
 def _moves_along(model: pin.Model, joint: int, z: FloatArray) -> bool:
-    """True if a joint up to the given one slides, or turns about an axis that is not parallel to z."""
+    """True if a joint can move bodies along z.
+
+    A joint up to the given one slides, or turns about an axis that is not parallel to z.
+    """
     direction = z  # in the frame of `joint`, with all joints at 0
     while joint:
         axis, slides = joint_axis(model, joint)

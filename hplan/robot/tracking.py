@@ -78,12 +78,16 @@ class TrackingModel:
             slides: Whether each joint is prismatic; the text uses degrees, millimetres, or both.
         """
         kinds = [joint_unit(kind).error(self.still_rad) for kind in sorted(set(slides) or {False})]
-        error = f"{kinds[0]}, {kinds[1]} where a joint slides" if len(kinds) > 1 else kinds[0]
+        error = f"{kinds[0]}, {kinds[1]} for prismatic joints" if len(kinds) > 1 else kinds[0]
         return f"{error} + {1e3 * self.delay_s:.4g} ms of velocity" if self.delay_s else error
 
 
 def name_margin(
-    error: HplanError, asked: TrackingModel, slides: Sequence[bool], fraction: float, enough: str = "what would do is"
+    error: HplanError,
+    asked: TrackingModel,
+    slides: Sequence[bool],
+    fraction: float,
+    enough: str = "planning would succeed with",
 ) -> None:
     """Add the tracking error, and the maximum possible one, to an error.
 
@@ -99,7 +103,7 @@ def name_margin(
         return
     largest = asked.scaled(fraction)
     error.add(
-        f"this allows for a tracking error of {asked.summary(slides)}; {enough} up to {largest.summary(slides)}",
+        f"the required tracking error is {asked.summary(slides)}; {enough} up to {largest.summary(slides)}",
         tracking_error_deg=math.degrees(asked.still_rad),
         tracking_delay_ms=1e3 * asked.delay_s,
         largest_tracking_error_deg=math.degrees(largest.still_rad),

@@ -136,7 +136,9 @@ def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice, faults: Faults
 
 
 def _write_limits(root: ET.Element, file: Path | None) -> bool:
-    """Write the velocities, efforts and positions of a limits file into the joints; True if it has any.
+    """Write a limits file's limits into the joints; True if any.
+
+    Velocities, efforts and positions.
 
     Raises:
         RobotFileError: The limits file is missing or malformed, or names a joint that the URDF lacks.
@@ -155,7 +157,7 @@ def _write_limits(root: ET.Element, file: Path | None) -> bool:
 
 
 def _check_accelerations(faults: Faults, urdf: Urdf, choice: RobotChoice) -> None:
-    """Add to the faults of a file that nothing gives the accelerations of its joints."""
+    """Add the fault that nothing gives a file's acceleration limits."""
     moving = [joint for joint in urdf.joints.values() if joint.element.get("type") != "fixed"]
     is_given = choice.limits is not None or (faults.path != URDF_TEXT and is_file(default_limits(faults.path)))
     if moving and not is_given and not any("acceleration" in joint.limits for joint in moving):
@@ -207,19 +209,22 @@ class _Adaptation:
             joint = self._urdf.joints.get(name)
             if joint is None or joint.kind == "fixed":
                 known = ", ".join(j.name for j in self._urdf.joints.values() if j.kind != "fixed")
-                raise InputError(f"robot {self._robot!r} has no joint {name!r} that moves; it has {known}", joint=name)
+                raise InputError(f"robot {self._robot!r} has no moving joint {name!r}; it has {known}", joint=name)
             if name in joints and name in self._hold:
                 raise InputError(f"joint {name!r} cannot both move and be held", joint=name)
 
     def _tip(self) -> str:
-        """Link that is the tool frame or carries it; a guess if the frame is missing, which is a fault."""
+        """Link that is the tool frame or carries it.
+
+        A guess if the frame is missing, which is a fault.
+        """
         frame = self._choice.tool_frame
         if frame in self._urdf.links:
             return frame
         if frame in self._urdf.joints:
             return self._urdf.joints[frame].child
         reason = f"it marks the end of the arm and is missing; the links are {', '.join(self._urdf.links)}; "
-        advice = "tool_frame=NAME (--tool-frame NAME) takes another frame"
+        advice = "tool_frame=NAME (--tool-frame NAME) selects another frame"
         self._faults.add(f"frame {frame!r}: {reason}{advice}")
         return tool_frames(self._urdf)[0]
 
@@ -253,7 +258,7 @@ class _Adaptation:
         for joint in mount:
             if joint.kind != "fixed" and joint.name not in self._hold:
                 reason = (
-                    f"it is {joint.kind} and carries {_BASE_LINK!r}, in which scenes are; only fixed joints may; "
+                    f"it is {joint.kind} and carries {_BASE_LINK!r}, the frame of scenes; only fixed joints may do so; "
                     f"{hold_advice(joint.name)}"
                 )
                 raise self._fault(joint, ": " + reason)
@@ -306,23 +311,26 @@ class _Adaptation:
         for follower in self._urdf.joints.values():
             leader = self._leader(follower.name)
             if leader in moving and leader != follower.name:
-                reason = f"joint {follower.name!r} mimics it and would have to move along; {hold_advice(leader)}"
+                reason = f"joint {follower.name!r} mimics it and would have to move with it; {hold_advice(leader)}"
                 self._faults.add(*self._fault(self._urdf.joints[leader], ": " + reason).faults)
         return moving
 
     def _leader(self, name: str) -> str:
-        """Joint at the end of a mimic chain; the joint itself if it mimics none."""
+        """Joint at the end of a mimic chain.
+
+        The joint itself if it mimics none.
+        """
         mimic = self._urdf.joints[name].element.find("mimic")
         return name if mimic is None else self._leader(str(mimic.get("joint")))
 
     def _check_moving(self, joint: Joint) -> None:
         if joint.element.find("mimic") is not None:
             leader = self._leader(joint.name)
-            reason = f"mimics another; every joint must move by itself, but {hold_advice(leader)}, and this one with it"
+            reason = f"mimics another joint; every joint must move by itself, but {hold_advice(leader)} and this joint"
             raise self._fault(joint, " " + reason)
         missing = [key for key in ("velocity", "effort") if key not in joint.limits]
         if joint.kind == "continuous" and missing:
-            reason = f"it is continuous, and its <limit> gives no {' and no '.join(missing)}; a motion needs both: "
+            reason = f"it is continuous, and its <limit> has no {' and no '.join(missing)}; a motion requires both: "
             advice = f"{reason}write them there, or {hold_advice(joint.name)}{LIMIT_ADVICE}"
             raise self._fault(joint, ": " + advice)
 
@@ -332,7 +340,10 @@ class _Adaptation:
         self.held[joint.name] = value
 
     def _bound(self, joint: Joint) -> bool:
-        """Add limits to a continuous or one-sided joint; return True if it is one."""
+        """Add limits to a continuous or one-sided joint.
+
+        Returns True if it is one.
+        """
         limit = joint.element.find("limit")
         if limit is None:
             return False  # Pinocchio reports it
@@ -341,7 +352,7 @@ class _Adaptation:
         if joint.kind == "prismatic":
             if max(map(abs, ends.values())) > FARTHEST_M:
                 raise self._fault(
-                    joint, f": {range_} m, expected at most {FARTHEST_M:g} m to either side: where the rail ends"
+                    joint, f": {range_} m, expected at most {FARTHEST_M:g} m to either side: give the ends of the rail"
                 )
             return False
         endless = {
@@ -353,10 +364,8 @@ class _Adaptation:
                 ends[key] = side * CONTINUOUS_RANGE
                 limit.set(key, repr(ends[key]))
         if any(endless.values()) and not -_ENDLESS <= ends["lower"] < ends["upper"] <= _ENDLESS:
-            advice = (
-                f"a limit beyond {_ENDLESS:g} rad is none, and the joint turns by a whole turn at most to that side"
-            )
-            raise self._fault(joint, f": {range_} rad; {advice}: write both as few turns from 0 as they are")
+            advice = f"a limit beyond {_ENDLESS:g} rad counts as none, and the joint turns by at most 2 pi to that side"
+            raise self._fault(joint, f": {range_} rad; {advice}: write both limits within a few turns of 0")
         if all(endless.values()):
             joint.element.set("type", "revolute")
             self.continuous.append(joint.name)
@@ -392,14 +401,14 @@ def _standing(
     joint = joints[followers[-1]]
     where = f"{line_of(joint.element)}joint {joint.name!r}"
     if joint.name in followers[:-1]:
-        raise RobotFileError(path, f"{where} mimics itself, by {' and '.join(followers[:-1])}")
+        raise RobotFileError(path, f"{where} mimics itself through {' and '.join(followers[:-1])}")
     mimic = joint.element.find("mimic")
     if mimic is not None:
         leader = joints.get(str(mimic.get("joint")))
         if leader is None or leader.kind == "fixed":
-            raise RobotFileError(path, f"{where} mimics {mimic.get('joint')!r}, which is no joint that moves")
+            raise RobotFileError(path, f"{where} mimics {mimic.get('joint')!r}, which is not a moving joint")
         if joint.name in hold:
-            reason = f"joint {joint.name!r} cannot be held by itself, for it mimics {leader.name!r}; hold that one"
+            reason = f"joint {joint.name!r} cannot be held by itself because it mimics {leader.name!r}; hold that joint"
             raise InputError(reason, joint=joint.name)
         value = _standing(path, joints, hold, (*followers, leader.name))
         if value is None:
@@ -407,7 +416,7 @@ def _standing(
         return float(mimic.get("multiplier", "1")) * value + float(mimic.get("offset", "0"))
     if joint.kind in ("floating", "planar"):
         if joint.name in hold:
-            reason = f"joint {joint.name!r} cannot be held at a value, for it is {joint.kind}; make it fixed"
+            reason = f"joint {joint.name!r} cannot be held at a value because it is {joint.kind}; make it fixed"
             raise InputError(reason, joint=joint.name)
         return None
     low, high = -math.inf, math.inf
@@ -437,7 +446,10 @@ def fix_joint(path: Path, joint: Joint, value: float | None) -> None:
 
 
 def _placed(joint: Joint, value: float | None) -> pin.SE3:
-    """Placement of a joint's child in its parent at a value; None for 0."""
+    """Placement of a joint's child at a value; None for 0.
+
+    In the frame of its parent.
+    """
     if not value:
         return joint.placement
     axis = joint.axis / np.linalg.norm(joint.axis)

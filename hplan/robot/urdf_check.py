@@ -67,7 +67,7 @@ def check_models(path: Path, urdf: Urdf, model: pin.Model, collision_model: pin.
         raise RobotFileError(path, f"Pinocchio reads {len(shapes)} collision shapes, the file has {count}")
     for number, inertia in enumerate(inertias):
         found = np.array(model.inertias[number].matrix())
-        what = "the inertia of what it moves" if number else "the inertia of what stands still"
+        what = "the inertia of its moving bodies" if number else "the inertia of the fixed bodies"
         owner = last[number]
         name = f"joint {model.names[number]!r}" if owner is None or number else f"link {owner.name!r}"
         check.same(None if owner is None else owner.element, name, what, found, inertia)
@@ -115,7 +115,7 @@ class _Check:
         """Compare a moving joint; return its index."""
         model, name = self._model, f"joint {joint.name!r}"
         if not model.existJointName(joint.name):
-            raise self._fault(joint.element, f"{name}: Pinocchio reads no joint of that name")
+            raise self._fault(joint.element, f"{name}: Pinocchio reads no joint with that name")
         number = int(model.getJointId(joint.name))
         self.same(joint.element, name, "its carrier", model.parents[number], carrier)
         self.same(
@@ -149,7 +149,7 @@ class _Check:
         """Compare the placement of a link."""
         model, name = self._model, f"link {link.name!r}"
         if not model.existBodyName(link.name):
-            raise self._fault(link.element, f"{name}: Pinocchio reads no link of that name")
+            raise self._fault(link.element, f"{name}: Pinocchio reads no link with that name")
         frame = model.frames[model.getBodyId(link.name)]
         self.same(link.element, name, "its carrier", frame.parentJoint, carrier)
         self.same(link.element, name, "its place", frame.placement.homogeneous, placement.homogeneous)

@@ -220,7 +220,7 @@ def check_inertias(faults: Faults, urdf: Urdf) -> None:
         element = next(link.element.iter("inertia"))
         reason = (
             f"{line_of(element)}link {link.name!r}: <inertia> has principal moments "
-            f"{', '.join(f'{moment:.6g}' for moment in moments)} kg m^2; of a body none is negative, and none is "
+            f"{', '.join(f'{moment:.6g}' for moment in moments)} kg m^2; those of a body are not negative, and none is "
             "larger than the sum of the others"
         )
         if faults.repairs:
@@ -233,7 +233,10 @@ def check_inertias(faults: Faults, urdf: Urdf) -> None:
 
 
 def _write_inertia(element: ET.Element, axes: FloatArray, moments: FloatArray) -> None:
-    """Write the inertia of a body with moments close to the given, ascending ones."""
+    """Write the inertia of a body with moments near given ones.
+
+    The given moments ascend.
+    """
     raised = np.maximum(moments, 0.0)
     raised[:2] += 0.5 * max(0.0, raised[2] - raised[1] - raised[0])
     inertia = axes @ np.diag(raised) @ axes.T
@@ -242,15 +245,15 @@ def _write_inertia(element: ET.Element, axes: FloatArray, moments: FloatArray) -
 
 
 def check_moving_joints(faults: Faults, urdf: Urdf) -> None:
-    """Find moving joints that mimic another one, or have a limit that is not positive."""
+    """Find moving joints that mimic another, or lack positive limits."""
     for joint in urdf.joints.values():
         where, kind = f"{line_of(joint.element)}joint {joint.name!r}", joint.element.get("type")
         is_known = any(fault.startswith(f"{where} mimics") for fault in faults.found)
         if kind != "fixed" and joint.element.find("mimic") is not None and not is_known:
-            faults.add(f"{where} mimics another; every joint must move by itself")
+            faults.add(f"{where} mimics another joint; every joint must move by itself")
         for key in ("velocity", "effort", "acceleration", "jerk") if kind in ("revolute", "prismatic") else ():
             if key in joint.limits and not joint.limits[key] > 0.0:
-                value = f"{key} of <limit> is '{joint.limits[key]:g}', expected a finite number that is positive"
+                value = f"{key} of <limit> is '{joint.limits[key]:g}', expected a positive finite number"
                 faults.add(f"{where}: {value}{'' if key == 'jerk' else LIMIT_ADVICE}")
 
 
@@ -288,7 +291,7 @@ class _Reader:
             raise self.fault(element, f"{what} has no name")
         if not name.isprintable() or name != name.strip():
             reason = (
-                f"{what} is called {name!r}; a name holds no line break, no control character, no space at its ends"
+                f"{what} is called {name!r}; a name has no line break, no control character and no space at its ends"
             )
             raise self.fault(element, reason)
 
@@ -381,7 +384,10 @@ class _Reader:
         return len(self._faults.found) == known
 
     def _check_numbers(self, part: ET.Element, where: str) -> None:
-        """Check the numbers of a part whose attributes are single numbers, but for names of joints."""
+        """Check the numbers of a part with single-number attributes.
+
+        Names of joints are not numbers.
+        """
         for attribute in sorted(part.attrib.keys() & (_ATTRIBUTES[part.tag] - {"joint"})):
             self._numbers(part, attribute, where, 1)
 
@@ -390,10 +396,12 @@ class _Reader:
         mass, inertia = element.find("mass"), element.find("inertia")
         if mass is None or inertia is None:
             missing = "mass" if mass is None else "inertia"
-            raise self.fault(element, f"{where}: <inertial> has no <{missing}>; without it it would not count at all")
+            raise self.fault(
+                element, f"{where}: <inertial> has no <{missing}>; the inertia would be ignored without it"
+            )
         (value,) = self._numbers(mass, "value", where, 1)
         if value < 0.0:
-            raise self._bad_number(mass, "value", where, "a finite number that is not negative")
+            raise self._bad_number(mass, "value", where, "a finite number >= 0")
         xx, xy, xz, yy, yz, zz = (
             self._numbers(inertia, key, where, 1)[0] for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
         )
@@ -407,7 +415,9 @@ class _Reader:
             raise self.fault(element, f"{where}: a <{element.tag}> has no geometry")
         self._check_parts(geometry, where)
         if len(geometry) > 1:
-            raise self.fault(geometry, f"{where}: a <geometry> has {len(geometry)} shapes; only the first would count")
+            raise self.fault(
+                geometry, f"{where}: a <geometry> has {len(geometry)} shapes; all except the first would be ignored"
+            )
         shape = geometry[0]
         if shape.tag not in _CHILDREN["geometry"]:
             raise self.fault(shape, self._unknown(shape, geometry, where))
@@ -416,14 +426,14 @@ class _Reader:
                 raise self.fault(shape, f"{where}: <mesh> has no filename")
             scale = self._numbers(shape, "scale", where, 3) if "scale" in shape.attrib else (1.0, 1.0, 1.0)
             if 0.0 in scale:
-                raise self._bad_number(shape, "scale", where, "3 finite numbers that are not 0")
+                raise self._bad_number(shape, "scale", where, "3 finite nonzero numbers")
             return "mesh", scale
         size: list[float] = []
         # Attributes that specify the size of a shape.
         for attribute in {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length")}[shape.tag]:
             numbers = self._numbers(shape, attribute, where, 3 if attribute == "size" else 1)
             if not all(0.0 < number <= FARTHEST_M for number in numbers):
-                expected = f"a finite number that is positive, at most {FARTHEST_M:g} m"
+                expected = f"a positive finite number, at most {FARTHEST_M:g} m"
                 raise self._bad_number(shape, attribute, where, expected)
             size += numbers
         return shape.tag, tuple(size)
@@ -455,7 +465,7 @@ class _Reader:
             if len(numbers) == count and all(map(math.isfinite, numbers)):
                 break
         else:
-            expected = "a finite number" if count == 1 else f"{count} finite numbers with spaces between"
+            expected = "a finite number" if count == 1 else f"{count} finite numbers separated by spaces"
             raise self._bad_number(element, attribute, where, expected)
         if written != text:
             element.set(attribute, written)
@@ -481,7 +491,9 @@ class _Reader:
                 seen.add(part.tag)
 
     def _is_kept(self, element: ET.Element, part: ET.Element, seen: set[str], where: str) -> bool:
-        """True for a known part; False for an extension, and for a wrong one that was removed.
+        """True for a known part of a URDF.
+
+        False for an extension, and for a wrong part that was removed.
 
         Raises:
             RobotFileError: The part is unknown or duplicated.
@@ -499,7 +511,7 @@ class _Reader:
                 part.tag = meant[0]
                 return True
         elif part.tag in seen and part.tag not in ("visual", "collision"):
-            reason = f"{where}: a second <{part.tag}> in <{element.tag}>; only one would count"
+            reason = f"{where}: a second <{part.tag}> in <{element.tag}>; one of them would be ignored"
         else:
             return True
         if part.tag not in _HARMLESS:
@@ -510,7 +522,7 @@ class _Reader:
 
     def _unknown(self, part: ET.Element, element: ET.Element, where: str) -> str:
         known = ", ".join(sorted(_CHILDREN[element.tag]))
-        return f"{where}: <{part.tag}> in <{element.tag}> means nothing, expected {known}"
+        return f"{where}: <{part.tag}> in <{element.tag}> has no meaning, expected {known}"
 
     def _check_attributes(self, part: ET.Element, where: str) -> None:
         """Check for unknown attributes.
@@ -529,9 +541,9 @@ class _Reader:
                 self._mend(part, f"{where}: {attribute} of <{part.tag}> is called {meant[0]} now")
             elif part.tag in _HARMLESS:
                 del part.attrib[attribute]
-                self._mend(part, f"{where}: {attribute} of <{part.tag}> means nothing; it is left out")
+                self._mend(part, f"{where}: {attribute} of <{part.tag}> has no meaning; it is left out")
             else:
-                raise self.fault(part, f"{where}: {attribute} of <{part.tag}> means nothing")
+                raise self.fault(part, f"{where}: {attribute} of <{part.tag}> has no meaning")
 
     def _is_extension(self, name: str, known: frozenset[str]) -> bool:
         """True if an unknown name is a deliberate extension.

@@ -117,9 +117,9 @@ def _expanded(path: Path, package_dirs: Sequence[Path], xacro_args: Mapping[str,
 
 
 def _xacro_advice(path: Path, message: str) -> str:
-    """End of a message about an error of xacro: the option that would help."""
+    """End of a message about xacro: the option that would help."""
     if "Package not found" in message:
-        return "; package_dirs=[FOLDER] (--package-dir FOLDER) says where packages are"
+        return "; package_dirs=[FOLDER] (--package-dir FOLDER) names the folders of packages"
     declared = re.findall(r"<xacro:arg\s[^>]*?name=[\"']([^\"']+)", path.read_text(encoding="utf-8", errors="replace"))
     if not declared and "argument" not in message:
         return ""
@@ -128,7 +128,10 @@ def _xacro_advice(path: Path, message: str) -> str:
 
 
 def package_folder(path: Path, package_dirs: Sequence[Path], name: str) -> Path | None:
-    """Folder of a ROS package near a file, by its name or its `package.xml`; None if there is none."""
+    """Folder of a ROS package near a file, or None.
+
+    By its name or its `package.xml`.
+    """
     for folder in (*package_dirs, *folders_around(path)):
         for place in (folder, folder / name, *_packages_in(folder)):
             if (place.name == name and place.is_dir()) or _package_name(place) == name:
@@ -137,7 +140,10 @@ def package_folder(path: Path, package_dirs: Sequence[Path], name: str) -> Path 
 
 
 def folders_around(path: Path) -> list[Path]:
-    """Folder of a robot file and the four above it; none for a text."""
+    """Folder of a robot file and the four above it.
+
+    Empty for a text.
+    """
     return [] if path == URDF_TEXT else [path.resolve().parent, *path.resolve().parents[1:5]]
 
 
@@ -178,7 +184,7 @@ def _parsed(path: Path, content: bytes) -> ET.Element:
             declared.append(encoding.lower())
 
     def document_type(*_: Any) -> None:
-        reason = f"line {parser.CurrentLineNumber}: it has a document type, whose entities readers of URDF differ on"
+        reason = f"line {parser.CurrentLineNumber}: it has a document type; URDF readers differ on its entities"
         raise RobotFileError(path, reason)
 
     parser.StartElementHandler = start

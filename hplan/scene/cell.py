@@ -58,11 +58,11 @@ class CellRobot(StrictModel):
     @model_validator(mode="after")
     def _begins_at_rest(self) -> CellRobot:
         if self.start.is_moving:
-            raise fault("a robot of a cell begins at rest", "start")
+            raise fault("a robot of a workcell must begin at rest", "start")
         if self.drop_off is not None and self.drop_off.fruit is not None:
-            raise fault("fruit is let go at joints, a position or a pose, not at a fruit", "drop_off", "fruit")
+            raise fault("a drop-off is given by joints, a position or a pose, not by a fruit", "drop_off", "fruit")
         if self.every > 1 and self.drop_off is None:
-            raise fault("fruit is carried to a drop-off: give drop_off with it", "every")
+            raise fault("fruits are carried to a drop-off: give drop_off too", "every")
         return self
 
 
@@ -93,7 +93,7 @@ class CellScene(StrictModel):
         names = [robot.name for robot in self.robots]
         for place, robot in enumerate(self.robots):
             if robot.name in names[:place]:
-                raise fault(f"{robot.name!r} is the name of another robot", "robots", place, "name")
+                raise fault(f"{robot.name!r} is already the name of another robot", "robots", place, "name")
             fruit = None if robot.goal is None else robot.goal.fruit
             if fruit is not None and fruit not in {each.name for each in self.fruits}:
                 raise fault(f"{fruit!r} is not among the fruits", "robots", place, "goal", "fruit")
@@ -102,7 +102,7 @@ class CellScene(StrictModel):
                 if robot_name not in names:
                     raise fault(f"{robot_name!r} is not among the robots", "may_touch", place, end)
             if pair[0][0] == pair[1][0]:
-                raise fault(f"both links are of {pair[0][0]!r}; pairs are of two robots", "may_touch", place)
+                raise fault(f"both links belong to {pair[0][0]!r}; a pair has links of two robots", "may_touch", place)
         self.task(Goal(joints_rad=(0.0,)), self.robots[0].start)  # checks that names of obstacles and fruits differ
         return self
 

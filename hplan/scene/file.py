@@ -121,7 +121,7 @@ def parse_model(kind: type[_Model], text: str, path: Path | None) -> _Model:
         keys = ", ".join([*itertools.islice(kind.model_fields, 4), "..."])
         raise kind.error(f"expected a mapping of keys ({keys})", path=path)
     if kind is Scene and "robots" in content:
-        raise SceneError("it has several robots: load_cell reads it", path=path, where="robots")
+        raise SceneError("it has several robots: read it with load_cell", path=path, where="robots")
     try:
         folder = Path() if path is None else path.parent
         return validated(kind, content, {"folder": folder, "budget": ByteBudget(MOST_SHAPE_BYTES)})
@@ -155,7 +155,7 @@ def dump_scene(scene: Scene) -> str:
     instance("scene", scene, Scene, "load_scene")
     for index, obstacle in enumerate(scene.obstacles):
         if isinstance(obstacle, Mesh | PointCloud) and obstacle.file is None:
-            reason = f"{obstacle.name!r} was made of arrays and has no file; save_scene writes one"
+            reason = f"{obstacle.name!r} was created from arrays and has no file; save_scene writes one"
             raise SceneError(reason, where=f"obstacles[{index}].file")
     content: dict[str, Any] = {"format": scene.format, "name": scene.name}
     content |= {} if scene.robot is None else {"robot": scene.robot}

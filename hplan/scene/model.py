@@ -110,7 +110,7 @@ class JointValues(StrictModel):
         """
         joints = self.joints()
         if joints is None:
-            raise SceneError("expected a goal given by joints", where="goal")
+            raise SceneError("expected a joint goal", where="goal")
         return joints
 
 
@@ -196,7 +196,7 @@ class Goal(JointValues):
     @model_validator(mode="after")
     def _approach_is_free(self) -> Goal:
         if self.approach_deg is not None and self.joints() is not None:
-            raise ValueError("approach_deg belongs to a position or a fruit; joints leave nothing to choose")
+            raise ValueError("approach_deg belongs to a position or a fruit; a joint goal fixes the approach angle")
         return self
 
     @model_validator(mode="after")
@@ -208,7 +208,7 @@ class Goal(JointValues):
         if self.position is None:
             raise fault("quaternion_xyzw belongs to a position", "quaternion_xyzw")
         if self.approach_deg is not None:
-            raise fault("approach_deg and quaternion_xyzw exclude one another", "approach_deg")
+            raise fault("approach_deg and quaternion_xyzw exclude each other", "approach_deg")
         length = math.hypot(*self.quaternion_xyzw)
         if not abs(length - 1.0) <= QUATERNION_LENGTH:
             raise fault(f"expected a quaternion (x, y, z, w) of length 1, got length {length:.6g}", "quaternion_xyzw")
@@ -282,7 +282,7 @@ class Scene(StrictModel):
     @classmethod
     def _robot_ships(cls, robot: str | None) -> str | None:
         if robot is not None and robot not in robot_names():
-            raise ValueError(f"no robot has that name in hplan; there are {', '.join(robot_names())}")
+            raise ValueError(f"hplan has no robot with this name; there are {', '.join(robot_names())}")
         return robot
 
     @model_validator(mode="after")

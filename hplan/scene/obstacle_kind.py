@@ -43,7 +43,7 @@ def _symmetric(rows: tuple[Vector, Vector, Vector]) -> tuple[Vector, Vector, Vec
     matrix = np.array(rows)
     size = float(np.abs(matrix).max())
     if not np.abs(matrix - matrix.T).max() <= 1e-9 * size or np.linalg.eigvalsh(matrix).min() < -1e-9 * size:
-        raise ValueError("expected a covariance: symmetric, without negative eigenvalues")
+        raise ValueError("expected a covariance matrix: symmetric, without negative eigenvalues")
     return rows
 
 
@@ -101,7 +101,7 @@ class Item(StrictModel):
             largest = largest_deviation(np.array(self.covariance))
             # A rotated covariance has the same deviation up to rounding.
             if self.sigma != 0.0 and not math.isclose(self.sigma, largest, rel_tol=1e-9):
-                raise fault("sigma and covariance exclude one another", "covariance")
+                raise fault("sigma and covariance exclude each other", "covariance")
             vars(self)["sigma"] = largest
         return self
 
@@ -143,7 +143,7 @@ class Convex(Kind):
 
         The obstacle is their hull grown by `rounding`, or lies in it.
         """
-        raise NotImplementedError(f"{type(self).__name__} does not say of which points it is the hull")
+        raise NotImplementedError(f"{type(self).__name__} does not define its hull points")
 
     @property
     def rounding(self) -> float:

@@ -261,9 +261,9 @@ class Mesh(FromData):
         farthest = float(np.abs(self._data.vertices).max()) * self.scale
         below = "file" if self.file else "name"
         if not 1e-4 <= span <= FARTHEST_M:
-            raise fault(f"the mesh is {span:.3g} m across; expected 0.1 mm to 10 km: look at its scale", below)
+            raise fault(f"the mesh is {span:.3g} m across; expected 0.1 mm to 10 km: check its scale", below)
         if not farthest <= FARTHEST_M:
-            raise fault(f"the mesh reaches {farthest:.3g} m; expected at most 10 km: look at its scale", below)
+            raise fault(f"the mesh has coordinates of {farthest:.3g} m; expected at most 10 km: check its scale", below)
         return self
 
     @property

@@ -104,7 +104,7 @@ class Surface(_Cached):
         if len(corners) > MOST_TRIANGLES:
             raise ValueError(f"the mesh has {len(corners)} triangles; simplify it to at most {MOST_TRIANGLES}")
         if corners.min() < 0 or corners.max() >= len(points):
-            raise ValueError(f"a triangle names vertex {corners.max()}, but there are {len(points)}")
+            raise ValueError(f"a triangle refers to vertex {corners.max()}, but the mesh has {len(points)} vertices")
         points, place = np.unique(points, axis=0, return_inverse=True)
         corners = place.ravel()[corners]
         corners = corners[(corners != corners[:, [1, 2, 0]]).all(axis=1)]
@@ -148,7 +148,7 @@ class PointSet(_Cached):
         found = _checked_points(points, "points", FARTHEST_M)
         if len(found) > MOST_POINTS:
             raise ValueError(
-                f"the cloud has {len(found)} points; thin it to at most {MOST_POINTS}, by voxels of about its radius"
+                f"the cloud has {len(found)} points; downsample it to at most {MOST_POINTS}, in voxels about its radius"
             )
         return cls(frozen(found), left_out, may_merge)
 
@@ -208,7 +208,7 @@ def _load(path: Path, budget: ByteBudget, formats: tuple[str, ...], what: str) -
     Returns the (n, 3) points of an XYZ file.
     """
     if path.suffix.lower() not in formats:
-        raise ValueError(f"{path.name!r} is no {what} file that can be read; convert it to one of {', '.join(formats)}")
+        raise ValueError(f"{path.name!r} is not a readable {what} file; convert it to one of {', '.join(formats)}")
     try:
         content = budget.read(path)
     except OSError as error:
@@ -233,7 +233,7 @@ def _load(path: Path, budget: ByteBudget, formats: tuple[str, ...], what: str) -
         )
     except Exception as error:  # trimesh raises arbitrary exceptions of its parsers
         raise ValueError(
-            f"{os.fspath(path)} is no whole {path.suffix} file ({type(error).__name__}: {error})"
+            f"{os.fspath(path)} is not a complete {path.suffix} file ({type(error).__name__}: {error})"
         ) from error
     return loaded
 
@@ -243,9 +243,6 @@ def _read_xyz(content: bytes, name: str) -> FloatArray:
 
     All rows must have the same number of columns. trimesh treats commas as blanks, so it would read a number with a
     decimal comma as two numbers.
-
-    Raises:
-        ValueError: A row has another number of columns or fewer than three, or a word is not a number.
     """
     comments = ["#", *(["//"] if b"//" in content else [])]
     try:
@@ -254,7 +251,7 @@ def _read_xyz(content: bytes, name: str) -> FloatArray:
     except ValueError as error:
         raise ValueError(f"{name}, {_xyz_fault(content, comments)}") from error
     if rows.size and rows.shape[1] < 3:
-        raise ValueError(f"{name} has {rows.shape[1]} columns; expected x y z, separated by blanks")
+        raise ValueError(f"{name} has {rows.shape[1]} columns; expected x y z, separated by spaces")
     return np.ascontiguousarray(rows[:, :3]) if rows.size else np.zeros((0, 3))
 
 
@@ -267,8 +264,8 @@ def _xyz_fault(content: bytes, comments: Sequence[str]) -> str:
         words = line.split()
         for word in words:
             if DECIMAL.fullmatch(word) is None and word.lower().lstrip("+-") not in ("nan", "inf", "infinity"):
-                hint = "; write decimal points, and blanks between columns" if "," in word or ";" in word else ""
-                return f"line {number}: {word[:40]!r} is no number{hint}"
+                hint = "; use decimal points, and spaces between columns" if "," in word or ";" in word else ""
+                return f"line {number}: {word[:40]!r} is not a number{hint}"
         if words and len(words) != (columns := columns or len(words)):
             return f"line {number} has {len(words)} columns, the lines before have {columns}"
     return "expected rows of numbers, x y z first"
@@ -279,10 +276,6 @@ def _check_ply_rows(content: bytes, name: str) -> None:
 
     trimesh truncates rows that are too long, reads a file that ends early as a smaller one, and reads text as binary
     numbers if the second line is not the format.
-
-    Raises:
-        ValueError: The number of rows is wrong, a vertex row has a wrong length (names its number after the header), or
-            the second line is not the format.
     """
     head, mark, body = content.partition(b"end_header")
     words = [line.split() for line in head.decode("latin-1").splitlines()]
@@ -316,9 +309,6 @@ def _check_corners(content: bytes, name: str) -> None:
     """Refuse an OBJ or ASCII STL file with uneven vertex rows.
 
     trimesh reads such rows as one list of numbers, so a coordinate may move to another vertex.
-
-    Raises:
-        ValueError: A vertex row has another length than the first; names its line.
     """
     if b"\0" in content[:1000]:  # a binary file has no rows
         return
@@ -348,7 +338,7 @@ def _checked_points(points: ArrayLike, what: str, farthest: float) -> FloatArray
         first = int(bad.argmax())
         raise ValueError(f"{int(bad.sum())} of {len(found)} {what} are not finite; the first is number {first}")
     if largest > farthest:
-        raise ValueError(f"{what} reach {largest:.3g}; expected metres, at most {farthest:g}")
+        raise ValueError(f"{what} have coordinates of {largest:.3g}; expected metres, at most {farthest:g}")
     return found
 
 
@@ -365,13 +355,13 @@ def _check_closed(points: FloatArray, faces: IntArray) -> None:
     if (uses % 2 == 1).any():
         holes = int((uses % 2 == 1).sum())
         raise ValueError(
-            f"the mesh is open: {holes} edges have no triangle on their other side; close its holes, so that it bounds "
+            f"the mesh is open: {holes} edges have a triangle on one side only; close its holes, so that it bounds "
             "a solid"
         )
     if (balance != 0).any():
         raise ValueError(
-            f"the triangles of the mesh are not turned alike: at {int((balance != 0).sum())} edges neighbours disagree "
-            "which side is outside; make the orientation consistent"
+            f"the triangles of the mesh have no consistent orientation: at {int((balance != 0).sum())} edges "
+            "neighbours disagree about the outside; make the orientation consistent"
         )
     a, b, c = (points[faces[:, i]] - points.mean(axis=0) for i in range(3))
     volume = float((a * np.cross(b, c)).sum() / 6.0)

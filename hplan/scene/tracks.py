@@ -72,11 +72,13 @@ class Track(StrictModel):
                 raise fault(f"expected one for each of {len(self.times_s)} times (got {len(values)})", key)
         if (self.rpy_deg is None) != (self.about is None):
             given, missing = ("about", "rpy_deg") if self.rpy_deg is None else ("rpy_deg", "about")
-            raise fault(f"this key is missing: {missing}, for {given} is given", given)
+            raise fault(f"this key is missing: {missing} is required with {given}", given)
         for number, turn in enumerate(rotation_vectors(self.rotations), start=1):
             # Obstacles rotate along the smaller angle; near 180 degrees its direction is ambiguous.
             if not np.linalg.norm(turn) <= math.radians(179.0):
-                raise fault("it turns by 180 degrees between two times: give one between", "rpy_deg", number)
+                raise fault(
+                    "it turns by 180 degrees between two times: give an orientation between them", "rpy_deg", number
+                )
         return self
 
     @property
@@ -105,7 +107,9 @@ class Track(StrictModel):
         """
         times = tuple(time - time_s for time in self.times_s)
         if not (all(abs(time) <= LONGEST_S for time in times) and all(a < b for a, b in pairwise(times))):
-            expected = f"a time from which the times of tracks are within {LONGEST_S:g} s, and apart as numbers"
+            expected = (
+                f"a time within {LONGEST_S:g} s of all times of tracks, which must stay distinct floating-point numbers"
+            )
             raise OptionError("time_s", time_s, expected)
         return self.copy_unchecked({"times_s": times})
 

@@ -62,7 +62,7 @@ class Arm(_Part):
             raise fault(f"only {' and '.join(_SPECS)} can be varied; write an ArmSpec for others", "vary")
         for key, values in self.vary.items():
             if not values:
-                raise fault("no value to take", "vary", key)
+                raise fault("the list of values is empty", "vary", key)
         try:
             for _, robot in self.members():
                 _robot(robot).check_configuration([math.radians(value) for value in self.start_deg], "start_deg")
@@ -159,7 +159,7 @@ class Study(_Part):
             if isinstance(row, str) and "*" in row:
                 found = sorted(folder.glob(row)) if not Path(row).is_absolute() else sorted(Path("/").glob(row[1:]))
                 if not found:
-                    raise fault(f"no file is called {row}", number)
+                    raise fault(f"there is no file {row}", number)
                 rows += [(path,) for path in found]
             else:
                 try:

@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-import csv
-import fcntl
-import io
-import os
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from hplan.base.arguments import file_path, instance
-from hplan.base.csv_file import CsvFile
-from hplan.base.interrupts import uninterrupted
 from hplan.base.tasks import Pool, outcomes, pool_of
 from hplan.collision.reach import reach_ball
-from hplan.errors import HplanError, OutputError, TourError, WorkersLostError
+from hplan.errors import HplanError, TourError, WorkersLostError
 from hplan.planning.options import PlanOptions
 from hplan.study.definition import Design, Study, load_study
+from hplan.study.row_file import open_rows
 from hplan.tour.row import RowOptions, pickable, plan_row, within_reach
 from hplan.tour.tour import TourOptions, plan_tour
 
@@ -175,7 +169,7 @@ def run_study(
     pool, at_once = pool_of(executor, workers)
     begin = time.perf_counter()
     designs = {design.digest: design for design in study.designs()}
-    with _row_file(kept_in) as (found, keep):
+    with open_rows(kept_in, StudyRow, "study") as (found, keep):
         kept = {row.digest: row for row in found if row.digest in designs}
         left = [design for digest, design in designs.items() if digest not in kept]
         progress(len(kept), len(designs))
@@ -185,7 +179,7 @@ def run_study(
                 kept[row.digest] = row
                 progress(len(kept), len(designs))
         except WorkersLostError as error:
-            error.add("the study goes on where it is called again with these rows")
+            error.add("run the study again with these rows to resume it")
             raise
     return StudyResult(study.name, tuple(map(kept.__getitem__, designs)), len(left), time.perf_counter() - begin)
 
@@ -237,91 +231,3 @@ def _is_best(one: Choice, others: Sequence[Choice]) -> bool:
         for other in others
         if other.share > 0.0
     )
-
-
-_COLUMNS = tuple(field.name for field in fields(StudyRow))
-
-
-@contextmanager
-def _row_file(path: Path | None) -> Iterator[tuple[list[StudyRow], Callable[[StudyRow], None]]]:
-    """Yield a file's rows and a function that appends one durably.
-
-    The file is locked against other writers.
-    """
-    if path is None:
-        yield [], lambda _: None
-        return
-    with ExitStack() as stack:
-        try:
-            file = stack.enter_context(path.open("ab+"))
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            _check_header(path, file)
-            _cut_half_a_row(file)
-            if not file.tell():
-                _add(file, _COLUMNS)
-        except BlockingIOError as error:
-            raise OutputError(path, "another study is writing rows to it") from error
-        except OSError as error:
-            raise OutputError(path, error.strerror or str(error)) from error
-
-        def keep(row: StudyRow) -> None:
-            try:
-                _add(file, [_text(getattr(row, name)) for name in _COLUMNS])
-            except OSError as error:
-                raise OutputError(path, error.strerror or str(error)) from error
-
-        yield _read(path), keep
-
-
-def _check_header(path: Path, file: BinaryIO) -> None:
-    """Refuse a file with another header, and leave it unchanged.
-
-    An incomplete header, from an interrupted run, is accepted.
-
-    Raises:
-        InputError: The first line is not a study header.
-    """
-    file.seek(0)
-    header, line = f"{','.join(_COLUMNS)}\n".encode(), file.readline()
-    if not header.startswith(line):
-        raise CsvFile.read(path, "row", "row").fault(1, f"it has no rows of a study; expected {','.join(_COLUMNS)}")
-
-
-def _cut_half_a_row(file: BinaryIO) -> None:
-    """Truncate an incomplete last row, left by an interrupted run."""
-    file.seek(0)
-    whole = file.read().rfind(b"\n") + 1
-    file.truncate(whole)
-    file.seek(whole)
-
-
-def _add(file: BinaryIO, cells: Sequence[str]) -> None:
-    """Append a row in one write and sync it to disk."""
-    line = io.StringIO()
-    csv.writer(line, lineterminator="\n").writerow(cells)
-    with uninterrupted():
-        file.write(line.getvalue().encode())
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _text(value: Any) -> str:
-    return "" if value is None else " ".join(value.split()) if isinstance(value, str) else repr(value)
-
-
-def _read(path: Path) -> list[StudyRow]:
-    """Read the rows of a file."""
-    file = CsvFile.read(path, "row", "row")
-    if tuple(file.header) != _COLUMNS:
-        raise file.fault(1, f"it has no rows of a study; expected {','.join(_COLUMNS)}")
-    return [_row(file, line, cells) for line, cells in file.rows]
-
-
-def _row(file: CsvFile, line: int, cells: Sequence[str]) -> StudyRow:
-    kinds: dict[str, Callable[[str], Any]] = {"float": float, "int": int, "str": str}
-    kinds["float | None"] = lambda text: float(text) if text else None
-    try:
-        values = [kinds[str(field.type)](cell) for field, cell in zip(fields(StudyRow), cells, strict=True)]
-    except ValueError as error:
-        raise file.fault(line, f"it is no row of a study: {error}") from error
-    return StudyRow(*values)

@@ -27,17 +27,16 @@ from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.lazy_import import InNotebook
 from hplan.certificate.certificate import Certificate
 from hplan.errors import CertificationError, HplanError, TourError
-from hplan.planning.cell import Cell, CellArm, between, certify_between, check_options, may_touch_report, standing
 from hplan.planning.options import PlanOptions
 from hplan.planning.reachable import reachable
 from hplan.planning.stages import Progress, no_progress
-from hplan.planning.timetable import SPARES, Timetable
 from hplan.planning.world import World
 from hplan.tour.motions import carrying
 from hplan.tour.ordering import Costs, along, best
-from hplan.tour.result import TourResult
-from hplan.tour.tour import TourOptions, TourPlanner
+from hplan.tour.tour import TourOptions, TourPlanner, TourResult
 from hplan.trajectory.trajectory import Phase, Trajectory
+from hplan.workcell.cell import Cell, CellArm, between, certify_between, check_options, may_touch_report, standing
+from hplan.workcell.timetable import SPARES, Timetable
 
 #: Proximity of an arm at a fruit to another arm at another fruit: 0 if far, 1 for contact.
 Nearness: TypeAlias = Mapping[tuple[str, str, str, str], float]
@@ -296,13 +295,13 @@ def _planned(cell: Cell, options: PlanOptions, progress: Progress) -> CellTour:
     cell = replace(cell, robot=carrying(cell.robot, thickest, carry)) if carry and thickest else cell
     World.of(cell.robot, (), clearance=cell.scene.clearance).check_clear(cell.configuration({}), "start")
     apart = replace(cell, arms=tuple(_among_others(cell, arm) for arm in cell.arms))
-    progress("who reaches what")
+    progress("reachability of the fruits")
     able, reasons = _able(apart, options)
     mine = {arm.name: [fruit for fruit in able if arm.name in able[fruit]] for arm in apart.arms}
     pickers = {arm.name: _Picker(arm, options, mine[arm.name]) for arm in apart.arms if mine[arm.name]}
     if not pickers:
         raise TourError(list(reasons.items()))
-    why = "one after the other they come too near to each other"
+    why = "even one after the other, they come too close to each other"
     for spare in SPARES[1:]:
         schedule = _soonest(cell, options, spare, pickers, able, reasons, progress)
         if schedule is None:
@@ -453,9 +452,6 @@ def _soonest(
 
     Each next allocation uses the costs of the motions known by then. None if arms that run one after the other would
     come too near to one another.
-
-    Raises:
-        TourError: No arm can pick any fruit.
     """
     every = {name: picker.share() for name, picker in pickers.items()}
     known = {fruit: [name for name in names if fruit in every[name].grasps] for fruit, names in able.items()}

@@ -14,7 +14,7 @@ Once the tour is found, motions are blended: the arm does not stop at stand-offs
 optimized with durations that include the stops.
 
 Carried fruit is part of the arm's collision geometry from the stand-off before a fruit to the drop-off, with the size
-of the largest fruit (`hplan.tour.motions`). The motions of the empty arm are planned without it.
+of the largest fruit (`carrying`). The motions of the empty arm are planned without it.
 """
 
 from __future__ import annotations

@@ -37,8 +37,7 @@ from hplan.planning.world import without_inside
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacles import Capsule
-from hplan.tour.result import TourResult
-from hplan.tour.tour import TourOptions, plan_tour
+from hplan.tour.tour import TourOptions, TourResult, plan_tour
 
 
 def within_reach(robot: Robot, scene: Scene) -> Scene:
@@ -55,7 +54,7 @@ def within_reach(robot: Robot, scene: Scene) -> Scene:
     near, inside = without_inside(robot, cropped)
     rigid = next((one.name for one in cropped.obstacles if one.name in inside and not one.yields), None)
     if rigid is not None:
-        raise InputError(f"obstacle {rigid!r} stands in the robot's pedestal or turret", obstacle=rigid)
+        raise InputError(f"obstacle {rigid!r} is inside the robot's pedestal or turret", obstacle=rigid)
     return near
 
 
@@ -369,12 +368,7 @@ def plan_row(
 
 
 def _check(scene: Scene, options: PlanOptions, row: RowOptions) -> None:
-    """Check the scene and the options for tree rows.
-
-    Raises:
-        OptionError: A deadline is given, a carried obstacle does not exist, or the scene has no fruit.
-        MovingObstacleError: The scene has moving obstacles.
-    """
+    """Check the scene and the options for tree rows."""
     if options.deadline_s is not None:
         raise OptionError("deadline_s", options.deadline_s, "None: rows have no deadline")
     if scene.moves:
@@ -414,7 +408,7 @@ def _costs(
     found: dict[Place, dict[str, float] | None] = {}
     for _, lot in outcomes(partial(_seen_from, robot, scene, options, row), lots, *pool):
         found |= lot
-        progress(f"stops: {len(found)} of {len(places)} looked at")
+        progress(f"stops: {len(found)} of {len(places)} evaluated")
     return {place: held for place in places if (held := found[place]) is not None}
 
 

@@ -20,13 +20,15 @@ from pydantic import Field
 
 from hplan.base import ties
 from hplan.base.arguments import instance, list_of
-from hplan.base.arrays import FloatArray
+from hplan.base.arrays import FloatArray, Record
 from hplan.base.checked import Options
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
-from hplan.certificate.certificate import all_of
+from hplan.base.lazy_import import InNotebook
+from hplan.certificate.certificate import Certificate, all_of
 from hplan.certificate.digests import Digests
-from hplan.errors import CertificationError, OptionError, SceneError, TourError, UnreachableError
+from hplan.errors import CertificationError, HplanError, OptionError, SceneError, TourError, UnreachableError
 from hplan.planning.failures import NO_MOTION
+from hplan.planning.grasps import Grasp
 from hplan.planning.motion import Motion, Transit, certificate_of, in_sequence, require_certificate, seconds
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task
@@ -38,9 +40,85 @@ from hplan.scene.model import Fruit, Goal, Scene
 from hplan.tour.motions import LegMotions, Motions, carrying, drop_off
 from hplan.tour.moves import Stop
 from hplan.tour.ordering import Costs, Visits, along, best, nearest
-from hplan.tour.result import Leg, TourResult, Unreached
 from hplan.trajectory.retime import resting
-from hplan.trajectory.trajectory import joined
+from hplan.trajectory.trajectory import Phase, Trajectory, joined
+
+
+@dataclass(frozen=True, eq=False)
+class Leg(Record):
+    """Leg of a tour, to a fruit or back to the start.
+
+    A leg to a fruit may continue to the drop-off. It is at rest at both ends, unless the retreat from a fruit is
+    blended with the next leg.
+
+    Attributes:
+        fruit: Name of the fruit; None for the leg back.
+        grasp: Grasp of the fruit; None for the leg back.
+        begin_s: Start time in the tour [s].
+        phases: Its phases, at their times in the tour: `transit`, `approach`, `retreat`, `drop`, `return`.
+        trajectory: Its motion, starting at time 0.
+        certificate: Certificate of the motion.
+    """
+
+    fruit: str | None
+    grasp: Grasp | None
+    begin_s: float
+    phases: tuple[Phase, ...]
+    trajectory: Trajectory
+    certificate: Certificate
+
+    @property
+    def name(self) -> str:
+        """Name of the fruit, or `return`."""
+        return "return" if self.fruit is None else self.fruit
+
+
+@dataclass(frozen=True, eq=False)
+class Unreached:
+    """Fruit that is not picked, with the error."""
+
+    fruit: str
+    error: HplanError
+
+
+@dataclass(frozen=True, eq=False)
+class TourResult(Record, InNotebook):
+    """Picking tour of one arm.
+
+    Attributes:
+        order: Names of the picked fruits, in order.
+        legs: One leg for each of them, and the leg back if there is one.
+        trajectory: The whole motion; the arm rests at the fruits, and wherever a stop is faster.
+        certificate: Certificate of the whole motion.
+        picked: Picking time of each fruit [s].
+        dropped: Release time of each fruit at the drop-off [s]; empty without a drop-off.
+        unreached: Fruits that are not picked.
+        report: Contents of `tour.json`.
+        robot: The arm.
+        scene: The given obstacles and fruits.
+    """
+
+    order: tuple[str, ...]
+    legs: tuple[Leg, ...]
+    trajectory: Trajectory
+    certificate: Certificate
+    picked: Mapping[str, float]
+    dropped: Mapping[str, float]
+    unreached: tuple[Unreached, ...]
+    report: dict[str, Any]
+    robot: Robot
+    scene: Scene
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """Phases of all legs."""
+        return tuple(phase for leg in self.legs for phase in leg.phases)
+
+    @property
+    def duration(self) -> float:
+        """Duration of the whole tour [s]."""
+        return self.trajectory.duration
+
 
 Order = Literal["best", "nearest", "given"]
 _ORDERS: tuple[Order, ...] = get_args(Order)
@@ -75,7 +153,7 @@ class TourOptions(Options):
         if self.drop_off is not None and self.drop_off.fruit is not None:
             raise OptionError("drop_off", self.drop_off.fruit, "joints or a position, not a fruit")
         if self.every is not None and self.drop_off is None:
-            raise OptionError("every", self.every, "a drop-off with it")
+            raise OptionError("every", self.every, "None without a drop-off")
 
 
 def plan_tour(
@@ -126,11 +204,7 @@ def plan_tour(
 
 
 def _names(scene: Scene, fruits: Sequence[str] | None) -> list[str]:
-    """Return the fruits to pick.
-
-    Raises:
-        OptionError: A name is unknown or given twice, or the list is empty.
-    """
+    """Return the fruits to pick."""
     known = [fruit.name for fruit in scene.fruits]
     names = known if fruits is None else list(list_of("fruits", fruits, str, "names"))
     if not names:
@@ -177,7 +251,7 @@ class TourPlanner:
         self._carrying: Robot | None = None
         self._drop: Transit | None = None
         if scene.start.is_moving:
-            raise SceneError("tours begin at rest; the start has a velocity or an acceleration", where="start")
+            raise SceneError("tours begin at rest, but the start has a velocity or an acceleration", where="start")
         self.problem = Problem.of(robot, scene, options)
         self.start = self.problem.start
         self.problem.world.check_base(robot.yaw_of(self.start))
@@ -259,7 +333,7 @@ class TourPlanner:
             found["best"], totals["best"] = found[quickest], totals[quickest]
         visits = found.get(self.tour.order, Visits(math.inf, np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)))
         if motions.fruits and not math.isfinite(visits.cost):
-            cut_off = CertificationError("no certified motions join the places from which it could be picked to others")
+            cut_off = CertificationError("no certified motion connects its grasps to other fruits or to the start")
             unreached += [Unreached(name, cut_off) for name in motions.fruits]
         return _Stage(motions, visits, {order: totals[order] for order in _ORDERS if order in totals}, unreached)
 

@@ -94,9 +94,11 @@ def time_path(
         return resting(dynamics.model, path.evaluate(0.0))
     _check_limits(path, dynamics, limits, whole, names)
     runs = np.linalg.norm(path.evaluate(np.array([0.0, path.breaks[-1]]), 1), axis=1)
-    for where, run in zip(("begin", "end"), runs, strict=True):
+    for where, run in zip(("start", "end"), runs, strict=True):
         if not run > 0.0:
-            message = f"the path's parameter stands still at its {where}; it should run about as the joint-space length"
+            message = (
+                f"the path has zero derivative at its {where}; its parameter should be close to the joint-space length"
+            )
             raise TimingError(message, cause="parameter")
     check_deadline()
     profile = SpeedProfile.along(path, dynamics, limits, whole)
@@ -119,11 +121,7 @@ def resting(model: pin.Model, q: FloatArray) -> Trajectory:
 def _check_limits(
     path: GeometricPath, dynamics: InverseDynamics, limits: Limits, grid: FloatArray, names: tuple[str, ...]
 ) -> None:
-    """Name the joint and the cause, because toppra reports only infeasibility.
-
-    Raises:
-        TimingError: A moving joint has a limit of zero, or gravity alone exceeds a torque limit.
-    """
+    """Name the joint and the cause, because toppra reports only infeasibility."""
     moves = np.abs(path.evaluate(grid, 1)).max(axis=0) > 1e-9
     for what, values in (
         ("velocity", limits.velocity),
@@ -145,7 +143,7 @@ def _check_limits(
     point, joint = np.unravel_index(int(use.argmax()), use.shape)
     if use[point, joint] > 1.0:
         raise TimingError(
-            f"joint {names[joint]!r} needs {abs(static[point, joint]):.4g} N m to stand still on the path, "
+            f"joint {names[joint]!r} needs {abs(static[point, joint]):.4g} N m to hold its position on the path, "
             f"its limit is {limits.torque[joint]:.4g} N m",
             joint=names[joint],
             cause="static torque exceeds the limit",
@@ -198,9 +196,6 @@ def _sample(
     """Sample the trajectory, slowed down as required by the torque limits.
 
     Torque is not a linear function of the motion, so the time-scaling factor is found iteratively.
-
-    Raises:
-        TimingError: No time-scaling factor satisfies the torque limits.
     """
     factor = 1.0
     for _ in range(_MOST_SLOWINGS):
@@ -273,10 +268,6 @@ def _rows(profile: SpeedProfile, limits: Limits, period: float, window: int, fac
 
     See the module's text. Between grid points velocity and acceleration exceed their limits slightly, which slows the
     motion down.
-
-    Raises:
-        OptionError: The motion needs more than `MOST_ROWS` samples.
-        TimingError: No time-scaling factor satisfies the limits.
     """
     for _ in range(_MOST_SLOWINGS):
         duration = profile.arrival[-1] * factor
@@ -285,8 +276,8 @@ def _rows(profile: SpeedProfile, limits: Limits, period: float, window: int, fac
             raise OptionError(
                 "rate_hz",
                 round(1.0 / period, 9),
-                f"at most {MOST_ROWS:,} rows, where the motion lasts {duration:.4g} s and would have {rows:,.0f}: "
-                "a lower rate, or a higher speed",
+                f"at most {MOST_ROWS:,} samples, but the motion of {duration:.4g} s would have {rows:,.0f}: "
+                "use a lower rate or a higher speed",
             )
         steps = max(1, int(np.ceil(duration / period - 1e-9))) + window + 1
         # Sample i depends on control points i to i + window + 1. The first sample's control points all lie before the

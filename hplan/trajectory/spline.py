@@ -67,7 +67,7 @@ class SplinePath(Record):
         inner = (station[1:-3] + station[2:-2] + station[3:-1]) / 3.0
         knots = np.concatenate([[0.0] * 4, inner, [station[-1]] * 4])
         if not (np.diff(knots[3:-3]) > 0.0).all() or not (np.diff(station)[[0, -1]] > 0.0).all():
-            raise InputError("too many control points coincide, or one is no number")
+            raise InputError("too many control points coincide, or one is not a number")
         return cls(points, readonly(knots))
 
     @cached_property

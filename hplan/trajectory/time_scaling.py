@@ -101,7 +101,7 @@ def _with_period(
         if rows > MOST_ROWS or rows * period > _LONGEST_S:
             raise OptionError(
                 "profile", "a function", f"factors with which a motion of {rest.duration:.4g} s at full speed ends "
-                f"within {_LONGEST_S:g} s and {MOST_ROWS:,} rows; after {0.5 * rows * period:.4g} s this one has not",
+                f"within {_LONGEST_S:g} s and {MOST_ROWS:,} samples; after {0.5 * rows * period:.4g} s it has not",
             )  # fmt: skip
         factors = wanted(np.arange(rows, dtype=np.float64) * period)
         begin = _Begin.of(rest, period, float(factors[0]) if rest.is_at_rest(0) else 1.0)
@@ -222,7 +222,7 @@ def speed_factors(profile: Profile) -> tuple[Callable[[FloatArray], FloatArray],
         >>> factors(np.array([1.0, 3.0])).tolist(), end_s, last
         ([0.75, 0.5], 2.0, 0.5)
     """
-    expected = "a factor >= 0, (n, 2) rows of time and factor >= 0, or a function of the time that gives one"
+    expected = "a factor >= 0, (n, 2) rows of time and factor >= 0, or a function of time that returns a factor"
     if is_number(profile):
         factor = number("profile", profile, "a factor > 0", lambda value: value > 0.0)
         return lambda clock: np.full(len(clock), factor), math.inf, math.nan
@@ -276,5 +276,5 @@ def check_factors(motion: Rows, robot: Robot, factor: float) -> None:
     if factor > allowed * (1.0 + 1e-9):
         raise OptionError(
             "profile", factor,
-            f"factors up to {allowed:.4g}: joint {robot.joint_names[joint]!r} is at its {what} limit then",
+            f"factors up to {allowed:.4g}: joint {robot.joint_names[joint]!r} reaches its {what} limit",
         )  # fmt: skip

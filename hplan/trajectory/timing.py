@@ -51,7 +51,7 @@ ENDLESS = 1e9
 def read_kinematics(
     path: Path | str, joints: Sequence[str] | None = None, *, hold: Mapping[str, float] | None = None
 ) -> tuple[pin.Model, dict[str, float | None]]:
-    """Read the moving joints and the inertia of any robot's URDF, without geometry.
+    """Read moving joints and inertia of a robot's URDF, without geometry.
 
     Revolute, prismatic and continuous joints can move. A continuous joint becomes a revolute one without limits: its
     angles count beyond a whole turn. Joints with several coordinates, and joints that mimic another or are mimicked,
@@ -94,20 +94,20 @@ def read_kinematics(
     movable = ("revolute", "prismatic", "continuous")
     for name in [*moving, *hold]:
         if name not in elements:
-            raise InputError(f"robot file {path}: there is no joint {name!r} that moves", path=str(path), joint=name)
+            raise InputError(f"robot file {path}: there is no moving joint {name!r}", path=str(path), joint=name)
         kind, reason = elements[name].kind, ""
         if name in tied and name in moving:
             reason = f"moved: it and {tied[name]!r} move as one (mimic)"
         elif kind not in movable:
-            reason = f"moved or held: it is {kind}; revolute, prismatic and continuous joints can"
+            reason = f"moved or held: it is {kind}; only revolute, prismatic and continuous joints can"
         if reason:
-            advice = "Name the joints to move; the others stay where they are"
+            advice = "Name the joints to move; the other joints keep their positions"
             words = f"robot file {path}: joint {name!r} cannot be {reason}. {advice}"
             raise InputError(words, path=str(path), joint=name, reason=reason.partition(": ")[2])
         if name in moving and name in hold:
             raise InputError(f"joint {name!r} cannot both move and be held", joint=name)
     if not moving:
-        raise InputError(f"robot file {path}: no joint is to move", path=str(path))
+        raise InputError(f"robot file {path}: there is no joint to move", path=str(path))
     values = standing_values(path, joints_of, hold)
     held = {name: values[name] for name in elements if name not in moving}
     for name in held:
@@ -116,7 +116,7 @@ def read_kinematics(
     try:
         model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
     except (ValueError, RuntimeError) as error:
-        reason = f"Pinocchio refuses it: {error} (its reader's own words, if any, are on the terminal)"
+        reason = f"Pinocchio refuses it: {error} (its own messages, if any, are on the terminal)"
         raise RobotFileError(path, reason) from error
     check_models(path, read_urdf(path, root, any_robot=True), model)
     for name, attributes in missing.items():
@@ -165,7 +165,7 @@ def limits_of(
             raise InputError(f"{what}: expected one number, or {model.nv}", option=what) from error
         for name, value in zip(names, array, strict=False):
             if value == np.inf:
-                raise InputError(f"joint {name!r} has no {what} limit; the motion needs one", joint=name)
+                raise InputError(f"joint {name!r} has no {what} limit; the motion requires one", joint=name)
             if not (np.isfinite(value) and value >= 0.0):
                 raise InputError(f"joint {name!r}: its {what} limit is {value:g}, expected a number >= 0", joint=name)
         return array
@@ -247,7 +247,7 @@ def time_waypoints(
         if (joint.nq, joint.nv) != (1, 1):
             raise InputError(
                 f"joint {name!r} ({joint.shortname()}) has {joint.nq} coordinates and {joint.nv} velocities; only "
-                "joints with one of each can be timed. hplan.trajectory.read_kinematics makes continuous joints so",
+                "joints with one of each can be timed. hplan.trajectory.read_kinematics converts continuous joints",
                 joint=name,
             )
     points = as_waypoints(waypoints)

@@ -113,7 +113,7 @@ class Trajectory(Record):
         shape = (len(time), len(self.joint_names))
         for name in ("position", "velocity", "acceleration", "torque"):
             object.__setattr__(self, name, numbers(f"trajectory: {name}", getattr(self, name), shape))
-        slides = list_of("trajectory: slides", self.slides, bool, "truth values")
+        slides = list_of("trajectory: slides", self.slides, bool, "Booleans")
         if len(slides) not in (0, shape[1]):
             raise InputError(f"trajectory: slides has {len(slides)} values, expected one for each of {shape[1]} joints")
         object.__setattr__(self, "slides", slides)
@@ -124,7 +124,7 @@ class Trajectory(Record):
             )
 
     def __repr__(self) -> str:
-        return f"<Trajectory: {self.duration:.6g} s, {self.samples} rows, joints {', '.join(self.joint_names)}>"
+        return f"<Trajectory: {self.duration:.6g} s, {self.samples} samples, joints {', '.join(self.joint_names)}>"
 
     @property
     def duration(self) -> float:
@@ -399,7 +399,7 @@ def scaled(trajectory: Trajectory, profile: Profile, robot: Robot) -> Retimed:
     raise TimingError(
         f"the motion ends with joint {robot.joint_names[joint]!r} at {abs(velocity[joint]):.3g} {unit.velocity} "
         f"with an acceleration of {abs(acceleration[joint]):.3g} {unit.acceleration}: at other speeds it would end "
-        "otherwise; only one that ends without either can be run so",
+        "differently; only a motion that ends at rest can be rescaled",
         joint=robot.joint_names[joint],
         cause="not at rest at the end",
     )
@@ -413,19 +413,15 @@ def _parted(
 
 
 def _check_kinds(trajectory: Trajectory, robot: Robot) -> None:
-    """Check that a trajectory consists of cubics and has a robot's joints.
-
-    Raises:
-        InputError: Its joints are not the robot's, or its segments are not cubics.
-    """
+    """Check that a trajectory consists of cubics and has a robot's joints."""
     instance("trajectory", trajectory, Trajectory, "plan or read_csv")
     instance("robot", robot, Robot, "load_robot")
     check_joints(trajectory, robot)
     if trajectory.interpolation != "cubic":
         raise InputError(
-            f"stops and other speeds are made of cubic motions; this one is {trajectory.interpolation} between its "
-            'rows. Let the controller run its cubics, dataclasses.replace(trajectory, interpolation="cubic"), and '
-            "certify those",
+            f"stops and other speeds require cubic interpolation; this one is {trajectory.interpolation} between its "
+            'samples. Follow its cubics instead, dataclasses.replace(trajectory, interpolation="cubic"), and certify '
+            "them",
             interpolation=trajectory.interpolation,
         )
 
@@ -457,7 +453,7 @@ def check_units(slides: Mapping[str, bool], robot: Robot) -> None:
         if slides.get(joint, ours) != ours:
             kind, unit = ("slides", "radians") if ours else ("turns", "metres")
             columns = ", ".join(f"{joint}_{name}" for name in joint_unit(ours).columns)
-            before = "; hplan gave metres the names of radians before" if ours else ""
+            before = "; earlier versions of hplan used the names of radians for metres" if ours else ""
             raise InputError(
                 f"joint {joint!r} {kind}, but the motion has it in {unit}; its columns are {columns}{before}",
                 joint=joint,
@@ -492,13 +488,13 @@ def joined(parts: Sequence[Trajectory]) -> Trajectory:
         )
         if gap > 1e-9:
             raise InputError(
-                f"joined: motion {place + 1} does not go on where the one before it ends (off by {gap:.4g})",
+                f"joined: motion {place + 1} does not begin where the one before it ends (off by {gap:.4g})",
                 motion=place + 1,
             )
     slides = next((part.slides for part in parts if part.slides), ())
     curves = sorted({part.interpolation for part in parts if part.samples > 1}) or [parts[0].interpolation]
     if len(curves) > 1:
-        raise InputError(f"joined: motions are {' and '.join(curves)} between their rows; they must be the same")
+        raise InputError(f"joined: motions are {' and '.join(curves)} between their samples; they must be the same")
     rows = joined_rows([part.rows for part in parts])
     return Trajectory(parts[0].joint_names, *rows, slides, curves[0], parts[0].takes_over_s)
 
@@ -561,9 +557,9 @@ def write_csv(trajectory: Trajectory, path: Path | str, robot: Robot | None = No
     instance("trajectory", trajectory, Trajectory, "plan or read_csv")
     if not truth("whole", whole) and trajectory.takes_over_s:
         raise InputError(
-            f"the motion takes over {trajectory.takes_over_s:.6g} s after its first row, and a CSV has no start time: "
-            "run from its first row it would send a moving arm back. Write trajectory.since(row) from the row where "
-            "the arm is, or give whole=True if the arm is at rest at the first row",
+            f"the motion takes over {trajectory.takes_over_s:.6g} s after its first sample, and a CSV has no start "
+            "time: run from its first sample, it would send a moving arm back. Write trajectory.since(row) for the "
+            "sample where the arm is, or give whole=True if the arm is at rest at the first sample",
             takes_over_s=trajectory.takes_over_s,
         )
     if robot is not None:
@@ -612,7 +608,9 @@ def read_csv(path: Path | str, *, interpolation: Interpolation = "cubic") -> Tra
     joints, slides = joints_of_columns(file.header)
     if not joints or file.header != csv_header(joints, slides):
         turning, sliding = (", ".join("NAME_" + name for name in unit.columns) for unit in (TURNING, SLIDING))
-        raise file.fault(1, f"expected the columns time_s and, for each joint, {turning}; where it slides, {sliding}")
+        raise file.fault(
+            1, f"expected the columns time_s and, for each joint, {turning}; for prismatic joints {sliding}"
+        )
     rows: list[FloatArray] = []
     for line, texts, values in file.timed_rows(range(len(file.header))):
         if not rows and values[0] != 0.0:

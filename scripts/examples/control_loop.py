@@ -42,20 +42,16 @@ from hplan.scene import Box, Goal, Scene, Start
 from hplan.scene.orchard import MeasuredOptions, measured_orchard
 from hplan.trajectory.trajectory import Trajectory
 
-#: Period of the loop, of the camera, and how far ahead a new motion takes over [s].
-TICK_S, FRAME_S, AHEAD_S = 0.01, 0.1, 0.2
+#: Period of the loop, of the camera, and how far ahead a new motion takes over; start and duration of a disturbance,
+#: when a person steps in [s].
+TICK_S, FRAME_S, AHEAD_S, STEPS_IN_S, STAYS_S = 0.01, 0.1, 0.2, 4.0, 0.5
 
-#: When a person steps in, and for how long [s].
-STEPS_IN_S, STAYS_S = 4.0, 0.5
-
-#: Duration and frame rate of a close look; the frames are averaged [s, 1/s].
+#: Duration and frame rate of a close look, whose frames are averaged [s, 1/s].
 LOOK_S, CLOSE_RATE = 0.3, 30.0
 
-#: Maximum error of a point at 2 m: four standard deviations, of a single frame and of a close look [m].
-NOISE_M, CLOSE_NOISE_M = 0.016, 0.005
-
-#: Radius of the ball around each point: half the distance between points at 2 m, and half the maximum error [m].
-RADIUS_M, CLOSE_RADIUS_M = 0.016, 0.008
+#: Of a single frame and of a close look: maximum error of a point at 2 m, four standard deviations, and radius of the
+#: ball around each point, half the distance between points at 2 m and half the maximum error [m].
+NOISE_M, CLOSE_NOISE_M, RADIUS_M, CLOSE_RADIUS_M = 0.016, 0.005, 0.016, 0.008
 
 #: Extra clearance from points that are not known yet, so that noise in the next frame does not violate the margin [m].
 SPARE_M = 0.005
@@ -316,7 +312,7 @@ def main(
     deadline_s: float | None = AHEAD_S,
     unknown: Unknown = "free",
 ) -> Log:
-    """Pick for a while, and tell how it went."""
+    """Pick for a while, and print the result."""
     options = hplan.PlanOptions(deadline_s=deadline_s, tracking_error=TRACKING_ERROR_RAD)
     loop = ControlLoop(hplan.load_scene(scene) if isinstance(scene, str) else scene, options, unknown)
     for number in range(round(seconds / TICK_S)):
@@ -331,15 +327,13 @@ def main(
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="Pick fruit beside a controller, in MuJoCo.")
+    parser = argparse.ArgumentParser(description="Pick fruit with a controller, in MuJoCo.")
     parser.add_argument("seconds", type=float, nargs="?", default=8.0, help="of simulation")
-    parser.add_argument("--unknown", choices=("free", "solid"), default="free", help="what space counts as not seen")
+    parser.add_argument("--unknown", choices=("free", "solid"), default="free", help="treatment of unseen space")
     parser.add_argument("--tree", type=Path, help="a measured tree instead of the tour that ships with hplan")
     parser.add_argument("--distance", type=float, default=1.4, help="of the tree [m]")
-    parser.add_argument("--arm", default="orchard_harvester", help="that picks from the tree")
+    parser.add_argument("--arm", default="orchard_harvester", help="arm that picks from the tree")
     parser.add_argument("--deadline", type=float, default=AHEAD_S, help="of each plan [s]; 0 for none")
-    asked = parser.parse_args()
-    orchard: Scene | str = "tour"
-    if asked.tree is not None:
-        orchard = tree_in_front(asked.tree, asked.distance, asked.arm)
-    main(asked.seconds, scene=orchard, deadline_s=asked.deadline or None, unknown=asked.unknown)
+    given = parser.parse_args()
+    orchard = "tour" if given.tree is None else tree_in_front(given.tree, given.distance, given.arm)
+    main(given.seconds, scene=orchard, deadline_s=given.deadline or None, unknown=given.unknown)

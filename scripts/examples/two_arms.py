@@ -6,10 +6,10 @@ python scripts/examples/two_arms.py
 from __future__ import annotations
 
 import hplan
-from hplan.planning.cell import Cell
 from hplan.scene import Goal, Start
 from hplan.scene.cell import CellRobot, CellScene
 from hplan.scene.orchard import TUCKED_DEG
+from hplan.workcell.cell import Cell
 
 #: The goal of each arm, and its offset from the middle of the row [m].
 FRUITS, ASIDE_M = {"left": "fruit 20", "right": "fruit 19"}, {"left": 0.4, "right": -0.4}

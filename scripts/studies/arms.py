@@ -54,11 +54,7 @@ DRAWS = 400
 
 
 def random_scene(robot: Robot, seed: int, number: int) -> Scene:
-    """One scene.
-
-    Args:
-        number: Of this one, from 0 on; its kind is `KINDS[number % len(KINDS)]`.
-    """
+    """The scene with a number; its kind is `KINDS[number % len(KINDS)]`."""
     rng = np.random.default_rng([seed, number])
     extent = reach_of(robot, rng)
     while True:
@@ -94,13 +90,11 @@ def _obstacles(
     floor_m = 0.05
     floor = Box(name="floor", center=(0.0, 0.0, bottom - 0.5 * floor_m - 0.01), size=(4.0, 4.0, floor_m))
     found: list[Obstacle] = [floor]
-    kinds = [kind for kind, count in enumerate(counts) for _ in range(count)]
-    for kind in kinds:
-        while True:
-            one = _obstacle(rng, kind, f"{('box', 'ball', 'capsule', 'cloud')[kind]} {len(found)}", extent)
-            if not base_contacts(robot, one.solids):
-                found.append(one)
-                break
+    for kind in (kind for kind, count in enumerate(counts) for _ in range(count)):
+        name = f"{('box', 'ball', 'capsule', 'cloud')[kind]} {len(found)}"
+        while base_contacts(robot, (one := _obstacle(rng, kind, name, extent)).solids):
+            pass
+        found.append(one)
     return found
 
 
@@ -135,14 +129,7 @@ def _lowest(robot: Robot) -> float:
 def free_ends(
     robot: Robot, rng: np.random.Generator, obstacles: Sequence[Obstacle], extent: float
 ) -> tuple[FloatArray, FloatArray] | None:
-    """(dof,) start and goal; None if too few draws are free.
-
-    Args:
-        robot: The arm.
-        rng: Random generator of the configurations.
-        obstacles: Obstacles to keep clear of.
-        extent: Reach of the arm [m].
-    """
+    """(dof,) start and goal clear of obstacles, for an arm of this reach; None if too few draws are free."""
     checker = CoalScene(robot, tuple(solid for obstacle in obstacles for solid in obstacle.solids))
     start = None
     for q in rng.uniform(*_ranges(robot), (DRAWS, robot.dof)):
@@ -176,8 +163,8 @@ def _random(config: StudyConfig, number: int) -> Row:
             row["peer_solved"] = path is not None and _is_clear(robot, scene, path)
             if path is None or row["peer_solved"]:
                 break
-    found, told = planned(robot, scene, PlanOptions(effort=config.effort))
-    row |= told | {"missed": not told["certified"] and row.get("peer_solved", False)}
+    found, result = planned(robot, scene, PlanOptions(effort=config.effort))
+    row |= result | {"missed": not result["certified"] and row.get("peer_solved", False)}
     if found is not None:
         row["contacts"] = sum(contacts(robot, scene, found.trajectory))
     return row | {"fault": row.get("contacts", 0) > 0 or row.get("fault", False)}
@@ -208,23 +195,18 @@ FINGERS = 0.065
 WIDENED = (('lower="0.0" upper="0.04"', 'lower="0.0" upper="0.08"'), ('upper="-0.0698"', 'upper="0.0873"'))
 
 
-#: Folder of the URDF that is written and read again.
+#: Folder of the URDF: the judge reads it from a file.
 _FOLDER = TemporaryDirectory()
 
 
 @cache
 def panda() -> Robot:
-    """The Panda of example-robot-data with the limits widened and the fingers held.
-
-    Raises:
-        InputError: That package is not installed.
-    """
+    """The Panda of example-robot-data with the limits widened and the fingers held."""
     files = named_robot("panda")
     text = files.urdf.read_text(encoding="utf-8")
     for before, after in WIDENED:
         text = text.replace(before, after)
-    hold = {"panda_finger_joint1": FINGERS}
-    urdf = Path(_FOLDER.name) / "panda.urdf"
+    hold, urdf = {"panda_finger_joint1": FINGERS}, Path(_FOLDER.name) / "panda.urdf"
     urdf.write_text(text, encoding="utf-8")
     return load_robot(urdf, limits=files.limits, tool_frame="panda_hand", hold=hold, package_dirs=files.package_dirs)
 

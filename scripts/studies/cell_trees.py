@@ -14,7 +14,6 @@ from studies.measure import timed
 from studies.outside import contacts
 
 from hplan.errors import HplanError, InputError, TourError
-from hplan.planning.cell import Cell
 from hplan.planning.options import PlanOptions
 from hplan.planning.world import without_inside
 from hplan.robot.model import Robot, load_robot
@@ -23,6 +22,7 @@ from hplan.scene.model import Scene, Start
 from hplan.scene.orchard import MeasuredOptions, measured_orchard
 from hplan.tour.cell_tour import CellTour, plan_cell_tour
 from hplan.tour.tour import TourOptions, plan_tour
+from hplan.workcell.cell import Cell
 
 #: Distance of the trunk from the bases, compliance of thin parts [m], and the maximum number of fruits.
 DISTANCE, YIELDS, FRUITS = 1.4, 0.02, 80

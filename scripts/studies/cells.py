@@ -24,8 +24,6 @@ from studies.outside import between_arms
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import HplanError, InputError
-from hplan.planning.cell import Cell
-from hplan.planning.cell_planner import plan_cell
 from hplan.planning.options import PlanOptions
 from hplan.robot.files import named_robot
 from hplan.robot.model import Robot, load_robot
@@ -33,6 +31,8 @@ from hplan.scene.cell import CellRobot, CellScene
 from hplan.scene.limits import Vector
 from hplan.scene.model import Goal, Start
 from hplan.scene.obstacles import Box
+from hplan.workcell.cell import Cell
+from hplan.workcell.planner import plan_cell
 
 #: Folders of the problems.
 SETS = ("scalability-2", "scalability-4", "4-binpick", "8-shelves", "scalability-6", "scalability-8")

@@ -50,12 +50,7 @@ def group_of(record: dict[str, Any]) -> str:
 
 
 def problem_of(record: dict[str, Any], trees: Path | None) -> FastestProblem:
-    """The problem of a record.
-
-    Args:
-        record: Entry of the set's file.
-        trees: Folder of measured trees; may be None for planar problems.
-    """
+    """The problem of an entry of the set's file; planar problems need no folder of trees."""
     robot, scene = _made(record, trees)
     found, name = digest_of(robot, scene), record["name"]
     if found != record["digest"]:
@@ -89,8 +84,8 @@ def _orchard(arm: str, file: Path, distance_m: float) -> Orchard:
 
 def digest_of(robot: Robot, scene: Scene) -> str:
     """A digest of robot, obstacles, start and goal: 16 hexadecimal digits."""
-    told = _rounded(scene.model_dump(mode="json", exclude={"name"}))
-    return hashlib.sha256(json.dumps([robot_digest(robot), told], sort_keys=True).encode()).hexdigest()[:16]
+    content = _rounded(scene.model_dump(mode="json", exclude={"name"}))
+    return hashlib.sha256(json.dumps([robot_digest(robot), content], sort_keys=True).encode()).hexdigest()[:16]
 
 
 def _rounded(value: Any) -> Any:
@@ -135,13 +130,11 @@ def _row(_: StudyConfig, problem: FastestProblem) -> Row:
     found: dict[str, float | None] = {}
     planned(robot, scene, PlanOptions(effort="quick"))  # the first plan fills the caches of a scene
     for effort in EFFORT_NAMES:
-        told = planned(robot, scene, PlanOptions(effort=effort))[1]
-        found[effort] = told.get("duration_s") if told["certified"] else None
-        row |= {f"{effort}_ms": told["ms"], f"{effort}_s": found[effort]}
-        row["certified"], row["fault"] = (
-            row["certified"] and told["certified"],
-            row["fault"] or told.get("fault", False),
-        )
+        one = planned(robot, scene, PlanOptions(effort=effort))[1]
+        found[effort] = one.get("duration_s") if one["certified"] else None
+        row |= {f"{effort}_ms": one["ms"], f"{effort}_s": found[effort]}
+        row["certified"] &= one["certified"]
+        row["fault"] |= one.get("fault", False)
     # A duration is shorter than another only by more than this part of it.
     shorter = 1e-9
     known_s = record["duration_s"] * (1.0 - shorter)

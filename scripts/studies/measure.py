@@ -84,10 +84,9 @@ def environment() -> dict[str, Any]:
     """Processor, system and versions."""
     found = versions()
     for package in ("ompl", "scipy"):  # in addition to a report's packages
-        try:
+        found[package] = "not installed"
+        with contextlib.suppress(metadata.PackageNotFoundError):
             found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            found[package] = "not installed"
     processor = platform.processor() or "unknown"
     with contextlib.suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()

@@ -18,13 +18,13 @@ from studies.validation.judge import TICK_S, Arm, JudgedObstacle, SampledMotion
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import InputError
-from hplan.planning.cell import Cell
 from hplan.robot.files import named_robot
 from hplan.robot.model import Robot
 from hplan.scene.cell import CellScene
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import FromData
 from hplan.trajectory.trajectory import Trajectory
+from hplan.workcell.cell import Cell
 
 #: Time between the samples for limits [s].
 EVERY_S = 1e-3

@@ -61,14 +61,9 @@ class Orchard:
 
     def between(self, name: str, start: FloatArray, goal: FloatArray) -> Scene:
         """The motion between two configurations among all of its trees and fruit."""
-        return Scene(
-            name=name,
-            start=Start(joints_rad=tuple(start.tolist())),
-            goal=Goal(joints_rad=tuple(goal.tolist())),
-            clearance=self.scene.clearance,
-            obstacles=self.scene.obstacles,
-            fruits=self.scene.fruits,
-        )
+        ends = Start(joints_rad=tuple(start.tolist())), Goal(joints_rad=tuple(goal.tolist()))
+        kept = {key: getattr(self.scene, key) for key in ("clearance", "obstacles", "fruits")}
+        return Scene(name=name, start=ends[0], goal=ends[1], **kept)
 
 
 @dataclass(frozen=True)
@@ -88,11 +83,7 @@ def shipped_orchards(robot: Robot) -> list[Orchard]:
 
 
 def measured_orchards(robot: Robot, folder: Path) -> list[Orchard]:
-    """Measured trees, one at a time, at each of the distances.
-
-    Args:
-        robot: The arm.
-        folder: Folder of the trees, a CSV of capsules each.
+    """Measured trees, a CSV of capsules each, at each of the distances.
 
     Raises:
         InputError: A file is invalid, or a tree has too little room for its fruit.
@@ -127,15 +118,9 @@ def _is_within_reach(robot: Robot, fruit: Fruit) -> bool:
 def crop_of(robot: Robot, orchard: Orchard) -> tuple[dict[str, FloatArray], Counter[str]]:
     """Start of the approach to each reachable fruit, and counts of failures by reason."""
     scene, home = orchard.scene, orchard.scene.start.configuration
-    goals: dict[str, FloatArray] = {}
-    without: Counter[str] = Counter()
-    for fruit in scene.fruits:
-        found = _standoff(robot, scene, fruit, home)
-        if isinstance(found, str):
-            without[found] += 1
-        else:
-            goals[fruit.name] = found
-    return goals, without
+    found = {fruit.name: _standoff(robot, scene, fruit, home) for fruit in scene.fruits}
+    goals = {name: goal for name, goal in found.items() if not isinstance(goal, str)}
+    return goals, Counter(reason for reason in found.values() if isinstance(reason, str))
 
 
 def motions_in(robot: Robot, orchard: Orchard) -> list[TreeProblem]:
@@ -210,22 +195,18 @@ TREES = Study(
 
 
 def _tours(config: StudyConfig) -> Sequence[Orchard]:
+    robot = config.arm()
     if config.trees is None:
-        return shipped_orchards(config.arm())[: config.count]
-    return [measured_orchard(config.arm(), file, DISTANCES[0]) for file in sorted(config.trees.glob("*.csv"))][
-        : config.count
-    ]
+        return shipped_orchards(robot)[: config.count]
+    files = sorted(config.trees.glob("*.csv"))[: config.count]
+    return [measured_orchard(robot, file, DISTANCES[0]) for file in files]
 
 
 def _tour(config: StudyConfig, orchard: Orchard) -> Row:
     robot, scene = config.arm(), orchard.scene
     found, ms = timed(lambda: or_error(lambda: plan_tour(robot, scene, PlanOptions(effort=config.effort))))
-    row: Row = {
-        "name": orchard.name,
-        "ms": ms,
-        "fruits": len(scene.fruits),
-        "solved": not isinstance(found, HplanError),
-    }
+    solved = not isinstance(found, HplanError)
+    row: Row = {"name": orchard.name, "ms": ms, "fruits": len(scene.fruits), "solved": solved}
     if isinstance(found, HplanError):
         return row | {"picked": 0, "message": found.message}
     picked, duration = len(found.order), found.trajectory.duration

@@ -106,7 +106,7 @@ def test_exhausted_budget_is_reported(robot, scene, monkeypatch):
     monkeypatch.setattr(clearance_proof, "CHECKS_PER_PIECE", 0)
     certificate = certified_as_required(robot, world, swing, **options)
     assert not certificate.verified
-    assert certificate.violations[0].startswith("clearance is not shown beyond 0.")
+    assert certificate.violations[0].startswith("clearance is not proved after 0.")
     assert whole.checks > 60
     at = float(certificate.violations[0].split()[5])
     assert 0.0 < at < 1.0

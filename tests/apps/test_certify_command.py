@@ -67,7 +67,7 @@ def test_risk(tmp_path, capsys):
     ball = sure.obstacles[0].model_copy(update={"covariance": ((4e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (0.0, 0.0, 1e-4))})
     shared = ((1e-5, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     save_scene(sure.with_obstacles([ball]).model_copy(update={"covariance": shared}), scene)
-    assert cli.main(["plan", str(scene), "--out", str(folder), "--quiet", "--risk", "0.02"]) == 0
+    assert cli.main(["plan", str(scene), "--out", str(folder), "--quiet", "--effort", "quick", "--risk", "0.02"]) == 0
     status, report = said(capsys, folder, scene)
     told = json.loads((folder / "report.json").read_text())["certificate"]
     assert (status, report["differs"]) == (0, [])
@@ -89,7 +89,7 @@ def test_trajectory_that_was_changed_a_little(job, capsys):
     assert report["differs"] == ["trajectory"]
     assert report["certificate"]["verified"]
     assert cli.main(["certify", str(job)]) == 5
-    assert "trajectory is not the one of report.json" in capsys.readouterr().out
+    assert "trajectory is not that of report.json" in capsys.readouterr().out
     assert said(capsys, job / "trajectory.csv")[0] == 0
 
 

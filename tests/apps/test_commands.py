@@ -37,6 +37,7 @@ GOOD = {
     "plan": ["plan", "--out", "new"],
     "tour": ["tour", "--out", "new", "--fruits", "fruit 01"],
     "row": ["row", "row.yaml", "--distance", "1.2", "--step", "1.1", "--one-side", "--effort", "quick", "--out", "new"],
+    "batch": ["batch", "trellis", "--effort", "quick", "--out", "new.csv", "--jobs", "1"],
     "study": ["study", "study.yaml", "--out", "new", "--workers", "1"],
     "time": ["time", "toy.urdf", "way.csv", "--acceleration", "3"],
     "certify": ["certify", "job"],
@@ -49,6 +50,7 @@ MISSING = {
     "plan": ["plan", "missing.yaml"],
     "tour": ["tour", "missing.yaml"],
     "row": ["row", "missing.yaml"],
+    "batch": ["batch", "missing.yaml"],
     "study": ["study", "missing.yaml"],
     "time": ["time", "missing.urdf", "missing.csv"],
     "certify": ["certify", "missing.csv"],
@@ -276,3 +278,12 @@ def main_output(*arguments: str) -> str:
 )
 def test_bash_completes(words: list[str], found: list[str], tmp_path: Path) -> None:
     assert sorted(completed(tmp_path, "hplan", *words)) == sorted(found)
+
+
+def test_unknown_option_names_the_most_similar_one(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["plan", "--standof", "0.1", "--efort=quick", "--zzz"])
+    assert caught.value.code == 2
+    printed = capsys.readouterr().err
+    assert "did you mean --effort for --efort?" in printed
+    assert "for --zzz" not in printed

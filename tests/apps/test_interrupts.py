@@ -71,8 +71,11 @@ def end_command(words: list[str], module: str, name: str, number: signal.Signals
     assert (ended.returncode, ended.stderr) == (128 + number, message)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize(("module", "name"), STAGES, ids=lambda value: value)
+#: Both signals, in turn.
+ENDS = [(*stage, (signal.SIGINT, signal.SIGTERM)[number % 2]) for number, stage in enumerate(STAGES)]
+
+
+@pytest.mark.parametrize(("module", "name", "number"), ENDS, ids=lambda value: str(value))
 def test_interrupted_plan_leaves_its_report(module: str, name: str, number: signal.Signals, tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()

@@ -300,7 +300,7 @@ def test_recording_of_motion_stop_and_next_motion(picked: PlanResult, tmp_path: 
     assert len(found.messages["/robot_description"]) == 1
     shown = [markers for _, markers in found.messages["/scene"] if len(markers.markers) > 1]
     assert [[m.action for m in markers.markers].count(3) for markers in shown] == [0, 1, 1]
-    with pytest.raises(InputError, match="one robot"):
+    with pytest.raises(InputError, match="the same robot"):
         write_mcap([], tmp_path / "run.mcap")
 
 

@@ -172,7 +172,7 @@ def test_open_mesh(read: Any) -> None:
     assert np.round(hull.solids[0].core, 9).tolist() == np.round(closed.solids[0].core, 9).tolist()
     with pytest.raises(SceneError, match="lies in one plane"):
         read(text.replace("0 0 0.2", "0.2 0.2 0"), open_meshes="hull")
-    with pytest.raises(SceneError, match="a triangle names vertex 9"):
+    with pytest.raises(SceneError, match="a triangle refers to vertex 9"):
         read(text.replace("0 3 2", "0 3 9"), open_meshes="hull")
 
 
@@ -195,7 +195,7 @@ def changed(old: str, new: str, text: str = NEW) -> str:
 WRONG = {
     "no end": (changed("\n.\n", "\n"), 29, "the file ends where `*`"),
     "no object": (changed("* Box_0\n", "Box_0\n"), 2, "expected `*` and the name of an object"),
-    "the same name": (changed("* two cans", "* Box_0"), 12, "object 'Box_0' stands on line 2 already"),
+    "the same name": (changed("* two cans", "* Box_0"), 12, "object 'Box_0' is already on line 2"),
     "a word for a number": (changed("-1.33 0 0.5", "-1.33 zero 0.5"), 3, "a position, 3 finite numbers; got 'zero'"),
     "no quaternion": (changed("0 0 0.7071068 0.7071068", "0 0 0 0"), 4, "has the length 0, expected 1"),
     "a size of nothing": (changed("0.2 0.45 0.3", "0.2 0 0.3"), 6, "'Box_0': input should be greater than 0"),
@@ -204,8 +204,8 @@ WRONG = {
         6,
         "expected one of sphere, box, cylinder, cone or mesh, got 'torus'",
     ),
-    "a plane": (changed("box\n0.2 0.45 0.3\n", "plane\n0 0 1 0\n"), 6, "'Box_0': a plane has no end"),
-    "an octomap": (changed("* Box_0", "* <octomap>"), 2, "an octomap cannot be read"),
+    "a plane": (changed("box\n0.2 0.45 0.3\n", "plane\n0 0 1 0\n"), 6, "'Box_0': a plane is infinite"),
+    "an octomap": (changed("* Box_0", "* <octomap>"), 2, "octomaps are not supported"),
     "triangles of nothing": (one("mesh\n3 99999999999\n0 0 0\n1 0 0\n0 1 0\n0 1 2\n"), 16, "a vertex of a triangle"),
 }
 

@@ -139,6 +139,6 @@ def test_rows_of_others_are_not_cut(tmp_path: Path) -> None:
     (tmp_path / "tree.csv").write_text("kind,x1,y1,z1,x2,y2,z2,radius\ntrunk,0,0,0,0,0,2,0.04\n")
     (tmp_path / "study.yaml").write_text("name: one\narms: [harvester]\ntrees: [tree.csv]\n")
     (tmp_path / "rows.csv").write_text("a,b\n1,2\n3,4")
-    with pytest.raises(hplan.HplanError, match="no rows of a study"):
+    with pytest.raises(hplan.HplanError, match="not the table of a study"):
         run_study(tmp_path / "study.yaml", tmp_path / "rows.csv", workers=1)
     assert (tmp_path / "rows.csv").read_text() == "a,b\n1,2\n3,4"

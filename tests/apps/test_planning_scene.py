@@ -171,8 +171,8 @@ WRONG: dict[str, tuple[list[Any], Any, str, str]] = {
     "pose": (["pose"], "here", ".pose", "a mapping of keys"),
     "twice": (["id"], "shelf", "", "two objects 'shelf'"),
     "frame": (["header", "frame_id"], "elsewhere", "", "expected one frame"),
-    "removed": (["operation"], 1, ".operation", "only objects that are added"),
-    "plane": (["planes"], [{"coef": [0, 0, 1, 0]}], ".planes", "a plane has no end"),
+    "removed": (["operation"], 1, ".operation", "expected an object that is added"),
+    "plane": (["planes"], [{"coef": [0, 0, 1, 0]}], ".planes", "a plane is infinite"),
 }
 
 
@@ -285,7 +285,7 @@ def test_parts_that_change_nothing_are_read() -> None:
 def test_octomaps_are_refused(data: Any) -> None:
     scene = echoed()
     scene["world"]["octomap"]["octomap"]["data"] = data
-    with pytest.raises(SceneError, match=r"world\.octomap: an octomap cannot be read"):
+    with pytest.raises(SceneError, match=r"world\.octomap: octomaps are not supported"):
         read_planning_scene(scene)
     assert len(read_planning_scene(scene, leave_out=["octomap"])) == 3
 
@@ -313,7 +313,7 @@ def test_objects_are_in_fixed_frames() -> None:
         box.core, (other_box.core + np.array([0.0, 0.2, 0.3])) @ turn.T + [1.0, 0.0, 0.0], atol=1e-12
     )
     scene["world"]["collision_objects"][0]["header"]["frame_id"] = "camera"
-    with pytest.raises(SceneError, match="'Can1' is in frame 'camera', known are 'world', 'tray', 'table'"):
+    with pytest.raises(SceneError, match="'Can1' is in frame 'camera', the known frames are 'world', 'tray', 'table'"):
         read_planning_scene(scene)
     for wrong, reason in (
         (fixed("tray", "table", [0.0, 0.0, 0.0]), "is its own parent"),

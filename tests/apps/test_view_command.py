@@ -93,7 +93,7 @@ def test_other_scene_robot_or_trajectory_is_refused(
 ) -> None:
     before = (job / "scene.html").read_bytes()
     assert main(["view", str(job), "tour"]) == 5
-    assert capsys.readouterr().err == f"the scene is not the one of {job / 'report.json'}\n"
+    assert capsys.readouterr().err == f"the scene is not that of {job / 'report.json'}\n"
     rows = (job / "trajectory.csv").read_text().splitlines(keepends=True)
     (job / "trajectory.csv").write_text("".join(rows[:-1]))
     assert main(["view", str(job)]) == 5
@@ -110,7 +110,7 @@ def test_scene_of_ones_own_is_given_again(
     assert main(["plan", str(own), "--out", str(tmp_path), "--quiet"]) == 0
     capsys.readouterr()
     assert main(["view", str(tmp_path), "--quiet"]) == 2
-    assert "it is about the scene 'own', which does not ship with hplan: give its file" in capsys.readouterr().err
+    assert "its scene 'own' does not ship with hplan: give the scene file" in capsys.readouterr().err
     assert main(["view", str(tmp_path), str(own), "--quiet"]) == 0
     assert served == ["own"]
 
@@ -121,7 +121,7 @@ def test_robot_of_a_job_is_that_of_its_report(job: Path, served: list[str], caps
     assert main(["view", str(job), "--quiet"]) == 5  # the digest is another robot's
     (job / "report.json").write_text(json.dumps({**report, "robot": "my arm"}))
     assert main(["view", str(job), "--quiet"]) == 2
-    says = "it is about the robot 'my arm', which has no name in hplan: give its URDF by --robot"
+    says = "its robot 'my arm' does not ship with hplan: give the URDF with --robot"
     assert says in capsys.readouterr().err
     assert main(["view", str(job), "--robot", "harvester", "--quiet"]) == 0
     assert len(served) == 1
@@ -131,7 +131,7 @@ def test_robot_of_a_job_is_that_of_its_report(job: Path, served: list[str], caps
 def test_input_file_is_not_replaced(job: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     before = (job / name).read_bytes()
     assert main(["view", str(job), "--out", str(job / name)]) == 2
-    assert "another file than those that are read" in capsys.readouterr().err
+    assert "a file other than the inputs" in capsys.readouterr().err
     assert (job / name).read_bytes() == before
 
 

@@ -85,7 +85,7 @@ def test_command_reports_compilation(terminal: bool, monkeypatch: pytest.MonkeyP
     if terminal:
         assert "compiling: kernel 87 of about 90, 0 s; looking" in said
     else:
-        assert said == "compiling, as on every first run: kernel 87 of about 90, 0 s\n"
+        assert said == "compiling (first run only): kernel 87 of about 90, 0 s\n"
 
 
 def test_number_of_called_kernels_is_as_documented(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ def test_follows_a_link(tmp_path):
     assert (tmp_path / "target").read_text() == "after"
 
 
-@pytest.mark.parametrize(("make", "reason"), [(Path.mkdir, "it is a folder"), (os.mkfifo, "no ordinary file")])
+@pytest.mark.parametrize(("make", "reason"), [(Path.mkdir, "it is a folder"), (os.mkfifo, "not a regular file")])
 def test_folder_or_pipe_is_left_alone(make, reason, tmp_path):
     make(tmp_path / "a.txt")
     with pytest.raises(OutputError, match=reason):

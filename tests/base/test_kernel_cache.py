@@ -161,7 +161,7 @@ def test_nowhere_to_keep_them(folder: Path) -> None:
     said, warned = run(folder, **NOWHERE)
     assert said == "False False 4.0 6.0"
     assert warned.count("KernelCacheWarning") == 1
-    assert "compiled kernels cannot be kept: neither the package's folder nor the user's cache folder" in warned
+    assert "compiled kernels cannot be cached: neither the package's folder nor the user's cache folder" in warned
     assert sorted(path.name for path in folder.iterdir()) == ["__pycache__", "kernels.py"]
 
 
@@ -241,12 +241,12 @@ def test_kernels_that_came_with_the_package(folder: Path, tmp_path: Path) -> Non
         "one = type(ll.get_host_cpu_features())(sse2=True)\n"
         "ll.get_host_cpu_features = lambda: one\n"
     )
-    for before, named in ((older, "this processor has no avx2, bmi"), ("", "here is CPython")):
+    for before, named in ((older, "this processor lacks avx2, bmi"), ("", "this is CPython")):
         said, warned = run(folder, before + SHIPPED.format(brought) + count, **NOWHERE)
         assert said.startswith("False False 4.0 6.0\n")
         assert not said.endswith("\n0")
         assert named in warned
-        assert "kernels came with hplan for CPython" in warned
+        assert "the kernels shipped with hplan are for CPython" in warned
         made_for.write_text(kernels.made_for().replace("numba ", "numba 0."))
 
 
@@ -366,7 +366,7 @@ def _shifted(x: float) -> float:
 def test_unknown_dependency_is_not_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(nb.config, "CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(kernels, "_GIVEN", set())
-    with pytest.warns(KernelCacheWarning, match=r"_coloured: nothing is known of <Colour.RED: 1>"):
+    with pytest.warns(KernelCacheWarning, match=r"_coloured: the dependencies of <Colour.RED: 1> are unknown"):
         assert _coloured() == 1
     assert list(tmp_path.rglob("*.nbc")) == []
 
@@ -395,7 +395,7 @@ def test_no_room_to_keep_them(folder: Path) -> None:
     said, warned = run(folder, full + USE)
     assert said == "False True 4.0 6.0"
     assert warned.count("KernelCacheWarning") == 1
-    assert "can be written ([Errno 28] No space left on device)" in warned
+    assert "is writable ([Errno 28] No space left on device)" in warned
     assert list(folder.rglob("*.nbc*")) == []
 
 

@@ -463,7 +463,9 @@ def test_degrees_of_prismatic_joints_are_refused() -> None:
         asked = Scene(name="rail", **{"start": ends[0], "goal": ends[1], **given})
         which = next(iter(given))
         for call in (lambda asked=asked: hplan.plan(ROBOT, asked), lambda asked=asked: certify(ROBOT, asked, motion())):
-            with pytest.raises(InputError, match=f"{which}: joints_deg, but joint 'rail' slides; give joints_rad"):
+            with pytest.raises(
+                InputError, match=f"{which}: joints_deg, but joint 'rail' is prismatic; give joints_rad"
+            ):
                 call()
 
 
@@ -537,10 +539,16 @@ def test_degrees_alone_are_no_tracking_error_of_prismatic_joints(
     path = hplan.write_csv(motion(), tmp_path / "motion.csv", ROBOT)
     given = ["certify", str(path), str(ends), "--robot", str(urdf)]
     for options, says in (
-        (["--tracking-error", "0.5"], "--tracking-error-m = None: expected a length in metres: joint 'rail' slides"),
-        (["--tracking-error-m", "0.01"], "--tracking-error = None: expected an angle in degrees: joint 'boom' turns"),
+        (
+            ["--tracking-error", "0.5"],
+            "--tracking-error-m = None: expected a length in metres: joint 'rail' is prismatic",
+        ),
+        (
+            ["--tracking-error-m", "0.01"],
+            "--tracking-error = None: expected an angle in degrees: joint 'boom' is revolute",
+        ),
     ):
         assert main([*given, *options]) == 2
         assert says in " ".join(capsys.readouterr().err.split())
     assert main([*given, "--tracking-error", "0.5", "--tracking-error-m", "0.01"]) == 0
-    assert "tracking error 0.573 deg, 10 mm where a joint slides" in " ".join(capsys.readouterr().out.split())
+    assert "tracking error 0.573 deg, 10 mm for prismatic joints" in " ".join(capsys.readouterr().out.split())

@@ -54,24 +54,54 @@ def depths(arm, scene, result, step_s=2e-3):
     return clock, found
 
 
+def with_compliance(scene, yields):
+    """The scene with other compliances, by name [m]."""
+    items = {
+        key: tuple(
+            item.model_copy(update={"yields": yields[item.name]}) if item.name in yields else item
+            for item in getattr(scene, key)
+        )
+        for key in ("obstacles", "fruits")
+    }
+    return scene.model_copy(update=items)
+
+
+def contact_of(result):
+    """Value of `goal_contact` for a plan."""
+    return "approach" if len(result.phases) > 1 else "motion"
+
+
 @pytest.fixture(scope="module")
 def arm():
     return load_robot("orchard_harvester")
 
 
+def planned(arm, numbers, **options):
+    """Scenes with plans to fruits that have a motion, and the depths (`depths`)."""
+    found = []
+    for seed in (1, 2):
+        trees = orchard(seed, **options)
+        for number in numbers:
+            scene = trees.model_copy(update={"goal": Goal(fruit=trees.fruits[number].name)})
+            try:
+                result = plan(arm, scene)
+            except BlockedError:
+                continue
+            found.append((scene, result, *depths(arm, scene, result)))
+    return found
+
+
 @pytest.fixture(scope="module")
 def motions(arm):
-    """Scenes with plans, some with contact, and the depths (`depths`)."""
-    found = []
-    for seed, fruit in itertools.product((1, 2), range(0, 40, 6)):
-        scene = orchard(seed)
-        scene = scene.model_copy(update={"goal": Goal(fruit=scene.fruits[fruit].name)})
-        try:
-            result = plan(arm, scene)
-        except BlockedError:
-            continue
-        found.append((scene, result, *depths(arm, scene, result)))
-    return found
+    """Motions among compliant trees, some with contact."""
+    return planned(arm, range(0, 40, 6))
+
+
+@pytest.fixture(scope="module")
+def hanging(arm):
+    """Motions that deflect the support of a fruit among rigid trees; without its name they are blocked."""
+    found = planned(arm, range(0, 40, 4), wood_yields=0.0, fruit_yields=0.0, hangs_within=0.02)
+    return [one for one in found if one[1].certificate.pushes]
 
 
 def test_field_and_coal_agree_on_compliance_for_each_link():
@@ -123,16 +153,9 @@ def test_excessive_deflection_is_not_verified(arm, motions):
         if depth.max() < 1e-3:
             continue
         for beyond in (2e-5, -2e-5):
-            less = [
-                tuple(
-                    item.model_copy(update={"yields": float(depth.max()) + beyond}) if item.name == name else item
-                    for item in items
-                )
-                for items in (scene.obstacles, scene.fruits)
-            ]
-            other = scene.model_copy(update={"obstacles": less[0], "fruits": less[1]})
-            contact = "approach" if len(result.phases) > 1 else "motion"
-            outcomes.append((beyond > 0.0, certify(arm, other, result.trajectory, goal_contact=contact).verified))
+            other = with_compliance(scene, {name: float(depth.max()) + beyond})
+            certificate = certify(arm, other, result.trajectory, goal_contact=contact_of(result))
+            outcomes.append((beyond > 0.0, certificate.verified))
     assert len(outcomes) > 8
     assert not any(verified for may, verified in outcomes if not may)
     assert sum(verified for may, verified in outcomes if may) >= len(outcomes) // 4
@@ -148,15 +171,8 @@ def test_deflections_of_unverified_motion_are_exact(arm, motions):
         pushed = {name: depth for name, depth in deepest.items() if depth > 1e-3}
         if not pushed:
             continue
-        less = {
-            key: tuple(
-                item.model_copy(update={"yields": pushed[item.name] / 3.0}) if item.name in pushed else item
-                for item in getattr(scene, key)
-            )
-            for key in ("obstacles", "fruits")
-        }
-        contact = "approach" if len(result.phases) > 1 else "motion"
-        certificate = certify(arm, scene.model_copy(update=less), result.trajectory, goal_contact=contact)
+        less = with_compliance(scene, {name: depth / 3.0 for name, depth in pushed.items()})
+        certificate = certify(arm, less, result.trajectory, goal_contact=contact_of(result))
         assert not certificate.verified
         for name, depth in pushed.items():
             seen += 1
@@ -205,25 +221,6 @@ def test_sections_of_compliant_obstacles_are_smaller_for_deflecting_links():
         assert all(small[name] <= large[name] for name in small)
 
 
-@pytest.fixture(scope="module")
-def hanging(arm):
-    """Rigid trees whose fruit names its support, with plans and depths (`depths`).
-
-    The plans are blocked without the name.
-    """
-    found = []
-    for seed, fruit in itertools.product((1, 2), range(0, 40, 3)):
-        scene = orchard(seed, wood_yields=0.0, fruit_yields=0.0, hangs_within=0.02)
-        scene = scene.model_copy(update={"goal": Goal(fruit=scene.fruits[fruit].name)})
-        try:
-            result = plan(arm, scene)
-        except BlockedError:
-            continue
-        if result.certificate.pushes:
-            found.append((scene, result, *depths(arm, scene, result)))
-    return found
-
-
 def test_support_of_fruit_is_compliant_while_fruit_may_be_touched(arm, hanging):
     assert len(hanging) > 3
     for scene, result, clock, found in hanging:
@@ -236,17 +233,14 @@ def test_support_of_fruit_is_compliant_while_fruit_may_be_touched(arm, hanging):
         pushed = {push.obstacle for push in result.certificate.pushes}
         assert pushed <= set(wood)
         assert {push["obstacle"] for push in result.report["certificate"]["pushes"]} == pushed
-        contact = "approach" if len(result.phases) > 1 else "motion"
+        contact = contact_of(result)
         assert certify(arm, scene, result.trajectory, goal_contact=contact).verified
         fruits = tuple(fruit.model_copy(update={"hangs_from": ()}) for fruit in scene.fruits)
         alone = scene.model_copy(update={"fruits": fruits})
         assert not certify(arm, alone, result.trajectory, goal_contact=contact).verified
         # Reported depths are upper bounds; a depth is true if no smaller one is feasible.
         (_, name), depth = max(((key, deep.max()) for key, deep in found.items()), key=lambda item: item[1])
-        less = tuple(
-            one.model_copy(update={"yields": 0.5 * depth}) if one.name == name else one for one in scene.obstacles
-        )
-        shallow = scene.model_copy(update={"obstacles": less})
+        shallow = with_compliance(scene, {name: 0.5 * depth})
         assert not certify(arm, shallow, result.trajectory, goal_contact=contact).verified
 
 

@@ -171,7 +171,7 @@ def test_tool_that_is_not_there(robot, picked):
         assert certificate.verified is there
         assert (certificate.contact_s is not None) is there
         if not there:
-            assert "no nearer than 1.1 mm" in certificate.violations[0]
+            assert "no closer than 1.1 mm" in certificate.violations[0]
             assert "'hand'" in certificate.violations[1]
 
 

@@ -130,7 +130,7 @@ def test_certify_judges_by_the_bound(robot: Robot, motion: Trajectory) -> None:
     assert hplan.certify(robot, scene, motion, risk=min(1.0, 1.001 * bound)).verified
     refused = hplan.certify(robot, scene, motion, risk=0.999 * bound)
     assert not refused.verified
-    assert "may touch something with a probability" in refused.violations[0]
+    assert "the probability of a contact is bounded by" in refused.violations[0]
     moving = replace_first(scene, Track(times_s=(0.0, 1.0), shifts_m=((0.0, 0.0, 0.0), (0.1, 0.0, 0.0))))
     with pytest.raises(MovingObstacleError):
         hplan.certify(robot, moving, motion, risk=0.1)
@@ -176,7 +176,7 @@ def test_plans_keep_within_the_risk_and_lose_less_time_than_equal_shares(robot: 
 def test_no_motion_is_given_whose_goal_alone_is_riskier(robot: Robot, motion: Trajectory) -> None:
     hand = robot.forward_kinematics(motion.position[-1])[:3, 3]
     beside = Sphere(name="beside", center=hand + np.array([0.0, 0.0, 0.16]), radius=0.05, sigma=0.1)
-    with pytest.raises(CertificationError, match=r"at most 0\.01: the least that was shown is 0\."):
+    with pytest.raises(CertificationError, match=r"at most 0\.01: the lowest bound that was proved is 0\."):
         hplan.plan(robot, task((beside,)), hplan.PlanOptions(risk=0.01))
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import warnings
 from pathlib import Path
 
@@ -14,6 +12,7 @@ import pinocchio as pin
 import pytest
 
 from hplan import Planner, certify, plan
+from hplan.apps.cli.main import main
 from hplan.collision.far_obstacles import far_obstacles
 from hplan.collision.reach import reach_ball
 from hplan.errors import FarObstacleWarning
@@ -103,13 +102,13 @@ def test_distances_against_coal(robot: Robot) -> None:
     assert 20 < sum(flagged) < 180
 
 
-def test_commands_warn(tmp_path: Path) -> None:
-    scene, folder = save_scene(a_scene(*in_millimetres()), tmp_path / "scene.yaml"), tmp_path / "out"
-    run = [sys.executable, "-m", "hplan.apps.cli"]
-    done = subprocess.run([*run, "plan", scene, "--out", folder], capture_output=True, text=True, check=True)
-    assert "warning: scene 's': obstacle 'ball' and 4 more" in done.stderr
+def test_commands_warn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, folder = str(save_scene(a_scene(*in_millimetres()), tmp_path / "scene.yaml")), str(tmp_path / "out")
+    assert main(["plan", scene, "--out", folder]) == 0
+    assert "warning: scene 's': obstacle 'ball' and 4 more" in capsys.readouterr().err
     names = ["ball", "wire", "box", "crate", "plant"]
-    assert json.loads((folder / "report.json").read_text())["far_obstacles"] == names
-    done = subprocess.run([*run, "certify", folder, scene, "--json"], capture_output=True, text=True, check=True)
-    assert "in millimetres" in done.stderr
-    assert json.loads(done.stdout)["far_obstacles"] == names
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["far_obstacles"] == names
+    assert main(["certify", folder, scene, "--json"]) == 0
+    told = capsys.readouterr()
+    assert "in millimetres" in told.err
+    assert json.loads(told.out)["far_obstacles"] == names

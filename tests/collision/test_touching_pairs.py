@@ -15,11 +15,11 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
 from hplan.collision.touching_pairs import RIGID, required_distances, self_pairs
 from hplan.errors import ConfigurationInCollisionError, HplanError, InputError
-from hplan.planning.cell import Cell
 from hplan.robot.several import joined_robots
 from hplan.scene.cell import CellScene
 from hplan.scene.model import Goal, Scene, Start
 from hplan.trajectory.trajectory import Trajectory
+from hplan.workcell.cell import Cell
 
 INERTIA = '<inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
 LIMIT = '<limit lower="-3" upper="3" velocity="1" effort="500" acceleration="5"/>'
@@ -155,7 +155,7 @@ def test_bodies_that_always_touch_are_exempt_by_proof():
     robot = load_robot(wrist(0.03))
     bodies = collision_bodies(robot)
     reasons = {(bodies[i].kind, bodies[j].kind): why for i, j, why in self_pairs(robot).allowed}
-    assert reasons["box", "sphere"] == "they touch wherever joints 'one', 'two' are"
+    assert reasons["box", "sphere"] == "they touch at all positions of joints 'one', 'two'"
 
 
 def test_samples_exempt_no_pair(monkeypatch):

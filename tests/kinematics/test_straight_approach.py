@@ -122,7 +122,7 @@ def test_line_ends_where_the_arm_does(picker: Robot) -> None:
     assert (lines.rows[0, reached:] == lines.rows[0, reached - 1]).all()
     steps = np.abs(np.diff(lines.rows[0, :reached], axis=0)).max(axis=1)
     assert (steps <= TURNING * np.diff(lines.distances[:reached]) + 1e-12).all()
-    with pytest.raises(errors.ApproachError, match="drawn back by") as caught:
+    with pytest.raises(errors.ApproachError, match="withdrawn by") as caught:
         StraightLine(picker, goal[0], 3.0).evaluate(0.0)
     assert caught.value.largest_standoff_m == pytest.approx(lines.distances[reached - 1])
 

@@ -73,7 +73,7 @@ def test_locked_joints_stay(picker: Robot) -> None:
 
 
 def test_no_search_beyond_stretched_arm(arm: Robot) -> None:
-    with pytest.raises(errors.UnreachableError, match="beyond the stretched arm") as caught:
+    with pytest.raises(errors.UnreachableError, match="beyond the reach of the stretched arm") as caught:
         tool_at_point(arm, (20.0, 0.0, 0.0))
     assert caught.value.reason == "too_far"
     reach = 20.0 - caught.value.data["excess_m"]
@@ -83,6 +83,6 @@ def test_no_search_beyond_stretched_arm(arm: Robot) -> None:
 
 
 def test_failed_search_is_no_proof(picker: Robot) -> None:
-    with pytest.raises(errors.UnreachableError, match="no proof") as caught:
+    with pytest.raises(errors.UnreachableError, match="does not prove") as caught:
         tool_at_point(picker, (1.1, 0.1, 0.1), approach_deg=180.0)
     assert caught.value.reason == "not_found"

@@ -81,7 +81,7 @@ def test_points_stay_where_they_were_seen(robot: Robot) -> None:
     free = planner.plan(begins_s=10.0)
     tip = robot.tool_positions(free.trajectory.position[[int(0.6 * free.trajectory.samples)]])
     points = tip + np.random.default_rng(0).normal(0.0, 0.03, (300, 3))
-    with pytest.raises(OptionError, match="time_s = None: expected when the frame was taken"):
+    with pytest.raises(OptionError, match="time_s = None: expected the time of the frame"):
         planner.set_cloud("canopy", points, radius=0.01)
     planner.set_cloud("canopy", points, radius=0.01, time_s=10.0)
     result = planner.plan(begins_s=10.0)
@@ -168,7 +168,7 @@ def test_ignored_obstacles_are_at_their_current_place(robot: Robot) -> None:
     assert planner.set_cloud("seen", points, radius=0.01, time_s=15.0, ignore=["apple", "bird"]).ignored < 100
     # The base may be at rest: moving obstacles are evaluated at the frame's time all the same.
     planner = Planner(robot, a_scene(None, obstacles=(bird,)))
-    with pytest.raises(OptionError, match="what is to be ignored moves"):
+    with pytest.raises(OptionError, match="a body to ignore moves"):
         planner.set_cloud("seen", listed, radius=0.01, ignore=["bird"])
     assert planner.set_cloud("seen", listed[200:], radius=0.01, time_s=10.0, ignore=["bird"]).kept == 0
 
@@ -212,7 +212,7 @@ def test_cloud_that_was_cropped_for_less_is_refused(robot: Robot) -> None:
     planner.scene, planner.options = changes[0]["scene"], QUICK
     assert planner.set_cloud("seen", points, radius=0.01, options=options).kept == 2
     planner.replan(begins_s=0.0)
-    with pytest.raises(InputError, match="cropped to the reach where it was seen"):
+    with pytest.raises(InputError, match="cropped to the reach of the arm where it was seen"):
         planner.move("seen", position=(0.0, 0.3, 0.0))
 
 
@@ -222,7 +222,7 @@ def test_memory_is_cropped_for_the_least_of_its_frames(robot: Robot) -> None:
     planner.set_cloud("seen", points, radius=0.01, keep_s=60.0, time_s=0.0)
     planner.scene = planner.scene.model_copy(update={"clearance": 0.2})
     planner.set_cloud("seen", points, radius=0.01, keep_s=60.0, time_s=1.0)
-    with pytest.raises(InputError, match="remove it before"):
+    with pytest.raises(InputError, match="remove it first"):
         planner.plan()
     planner.remove("seen")
     planner.set_cloud("seen", points, radius=0.01, keep_s=60.0, time_s=2.0)

@@ -292,7 +292,7 @@ def test_pose_is_a_matrix_or_six_numbers(robot):
     huge = np.diag([1e200, 1e200, 1.0, 1.0])  # its products are no numbers
     huge[0, 1], huge[1, 0] = -1e200, 1e200
     for pose in (mirrored, scaled, projective, huge, np.zeros((4, 4)), matrix.T):
-        with pytest.raises(InputError, match="no rigid motion"):
+        with pytest.raises(InputError, match="not a rigid transform"):
             Frame.of(robot, np.zeros((1, 3)), radius=RADIUS, pose=pose)
     for pose in (np.full((4, 4), np.nan), np.eye(3), [1, 2, 3], "pose"):
         with pytest.raises(InputError, match="pose"):

@@ -93,7 +93,7 @@ def test_arm_that_is_elsewhere_is_refused(robot: Robot, joint: int) -> None:
         error = caught.value
         assert (error.joint, error.covered, error.at_s) == (robot.joint_names[joint], 0.0, pytest.approx(10.3))
         assert error.off_by == pytest.approx(5e-3)
-        assert "tracking error of 0 rad is covered" in error.message
+        assert "covers a tracking error of 0 rad" in error.message
     assert planner.last is last
     planner.options = PlanOptions(effort="quick", tracking_error=4e-3, tracking_delay_s=2e-3)
     rate = float(abs(planned(robot).trajectory.state_at(0.3)[1][joint]))
@@ -130,12 +130,12 @@ def test_planner_with_clock_requires_start_times(robot: Robot) -> None:
     unknown = planner.plan()
     assert math.isnan(unknown.begins_s)
     for ask in (lambda: planner.replan(at=5.2, now=5.1), lambda: planner.stop_at(5.2)):
-        with pytest.raises(InputError, match="it was not told when the motion began"):
+        with pytest.raises(InputError, match="the start time of the running motion is unknown"):
             ask()
     planner = pickle.loads(pickle.dumps(planner))
     assert planner.began(5.0) is planner.last
     assert planner.replan(at=5.2, now=5.1).begins_s == pytest.approx(5.1)
-    with pytest.raises(InputError, match=r"begins at 5\.1 s on the controller's clock, and at no other"):
+    with pytest.raises(InputError, match=r"begins at 5\.1 s on the controller's clock and at no other"):
         planner.began(5.0)
     with pytest.raises(InputError, match="plan one first"):
         Planner(robot, a_scene()).began(1.0)

@@ -220,7 +220,7 @@ def test_names_differ_and_are_known(robot: Robot) -> None:
     planner = planner_for(robot, [POST], fruits=(fruit("apple", 0, 1.0, 2.0),))
     before = planner.scene
     for name in ("post", "apple"):
-        with pytest.raises(InputError, match=f"there is an obstacle {name!r} already"):
+        with pytest.raises(InputError, match=f"there already is an obstacle {name!r}"):
             planner.add(Sphere(name=name, center=(1.0, -1.0, 1.0), radius=0.1))
     for name in ("nothing", "apple"):
         if name != "apple":  # fruits can be removed

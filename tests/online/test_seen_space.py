@@ -141,10 +141,10 @@ def test_start_has_to_be_known(robot: Robot) -> None:
     with pytest.raises(HplanError, match=UNSEEN):
         planner.plan()
     planner.aim(start=Start(joints_rad=tuple(np.radians([180.0, 40.0, 70.0, 30.0]).tolist())))
-    with pytest.raises(InputError, match="not seen"):
+    with pytest.raises(InputError, match="unseen space"):
         planner.plan()
     again = pickle.loads(pickle.dumps(seen(robot, poses(), GOAL)))
-    with pytest.raises(InputError, match="not seen"):
+    with pytest.raises(InputError, match="unseen space"):
         again.plan()
     with pytest.raises(OptionError, match="joints"):
         planner.set_cloud("camera", np.zeros((1, 3)), radius=0.01, unknown="solid")

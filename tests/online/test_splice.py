@@ -73,7 +73,7 @@ def test_timeout_before_new_motion_is_planned(robot):
     planner, before = a_planner(robot)
     planner.aim(goal=BACK)
     planner.options = PlanOptions(deadline_s=1e-9)
-    with pytest.raises(NotInTimeError, match="the running motion up to where a new one may take over"):
+    with pytest.raises(NotInTimeError, match="the running motion up to the point where a new one may take over"):
         planner.replan(at=0.3)
     assert planner.last is before
 
@@ -148,7 +148,7 @@ def test_obstacle_directly_ahead_gives_stop(robot):
     ball = on_the_way(robot, before.trajectory, 0.6)
     planner.move("ball", center=ball)
     hit = 0.6 * before.trajectory.duration
-    with pytest.raises(RunningMotionBlockedError, match=r"ball.*it can stop on its path") as caught:
+    with pytest.raises(RunningMotionBlockedError, match=r"ball.*the arm can stop on its path") as caught:
         planner.replan(at=hit, now=0.1)
     error = caught.value
     assert error.certificate.verified

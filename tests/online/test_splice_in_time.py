@@ -195,7 +195,7 @@ def test_obstacle_before_seam_gives_stop(robot):
     hit_s = 0.5 * running.duration
     planner.add(crossing(tool_at(robot, running, 0.5), hit_s, speed=2.0))
     last, scene = planner.last, planner.scene
-    with pytest.raises(RunningMotionBlockedError, match=r"ball.*it can stop on its path") as caught:
+    with pytest.raises(RunningMotionBlockedError, match=r"ball.*the arm can stop on its path") as caught:
         planner.replan(at=hit_s + 0.1, now=0.05)
     stop, begins_s = caught.value.stop, caught.value.begins_s
     assert begins_s == pytest.approx(0.048)

@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+from scipy import ndimage
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.planar.grid.grid import Grid, Occupancy
@@ -60,15 +61,8 @@ def shortest(free: BoolArray, start: IntArray, goal: IntArray, step: FloatArray)
 
 def component(free: BoolArray, start: IntArray) -> BoolArray:
     """Mask of the nodes connected to a node."""
-    reached = np.zeros_like(free)
-    front = [tuple(map(int, start))]
-    reached[front[0]] = True
-    while front:
-        for other, _ in neighbours(free, front.pop()):
-            if not reached[other]:
-                reached[other] = True
-                front.append(other)
-    return reached
+    labels, _ = ndimage.label(free, structure=np.ones((3,) * free.ndim))
+    return np.asarray(labels == labels[tuple(start)])
 
 
 def slice_paths(free: BoolArray, start: IntArray, goal: IntArray, step: FloatArray) -> dict[int, IntArray]:

@@ -1,4 +1,4 @@
-"""Grids of a plan: which nodes start and goal are joined to, and what is said where they are closed."""
+"""Grids of a plan: nodes joined to start and goal, and errors if these are enclosed."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def test_motions_in_contact_are_left_out(robot, grid):
             assert least >= 0.5 * MARGIN
         else:
             assert least < MARGIN + 1e-3
-    # With the base turned away nothing is in the way.
+    # With the base turned away nothing blocks the arm.
     assert joined(robot, grid, q, [ball], yaw=1.0) == every
 
 

@@ -1,4 +1,4 @@
-"""Paths over the grid, planar and over yaw: ends, clearance, and what is said where there is none."""
+"""Paths over the grid, planar and over yaw: ends, clearance, and errors without a path."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def shown_enclosed(one: Problem, attempt: GridAttempt) -> EnclosedError | None:
 
 
 def test_beyond_start_and_goal(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Closed in the plane and open beside it: the error says that more yaws might help, and they do."""
+    """Closed in the plane and open next to it: the error says that more yaws might help, and they do."""
     one = posed(robot, task(BELOW, ABOVE, BAR), PlanOptions(step_deg=2.0))
     error = shown_enclosed(one, GridAttempt(1.0))
     assert error is not None

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from studies.planar_cspace import RoundedPolygon, arm_sections, joint_grid, planar_sections
+from planar_sections import RoundedPolygon, planar_sections
+from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.base.arrays import readonly
 from hplan.errors import InputError
@@ -25,7 +26,7 @@ BAND = 1e-9
 
 
 def point_segment(points, a, b):
-    """Distances of points (..., 2) from segments a-b, either of which may be (..., 2) too."""
+    """Distances of points (..., 2) from segments a-b, whose ends may be (..., 2) too."""
     axis = b - a
     square = np.sum(axis * axis, axis=-1)
     t = np.clip(np.sum((points - a) * axis, axis=-1) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
@@ -243,11 +244,11 @@ AWKWARD = {
     "just above the cut": 0.1 * SQUARE + [-0.5, 0.1],
     "round the joint": 0.1 * SQUARE,
     "a wall in front": np.array([[0.9, -50.0], [0.9, 50.0]]),
-    "a half-plane beside the joint": 50.0 * SQUARE + [50.03, 0.0],
+    "a half-plane next to the joint": 50.0 * SQUARE + [50.03, 0.0],
     "reach ends in a straight side": 0.5 * SQUARE + [1.4, 0.0],
     "reach ends in two straight sides": np.array([[0.5, 0.0], [3.0, -0.3], [3.0, 0.3]]),
     "a needle that points at the joint": np.array([[0.3, 0.0], [3.0, -1e-6], [3.0, 1e-6]]),
-    "a needle beside the joint": np.array([[-1.0, 0.03], [1.0, 0.03]]),
+    "a needle next to the joint": np.array([[-1.0, 0.03], [1.0, 0.03]]),
     "two points as one": np.array([[0.5, 0.2], [0.5, 0.2]]),
     "points an ulp apart": np.array([[0.5, 0.2], [0.5, np.nextafter(0.2, 1.0)], [np.nextafter(0.5, 0.0), 0.2]]),
     "clockwise": 0.1 * SQUARE[::-1] + [0.5, 0.0],
@@ -283,7 +284,7 @@ def test_vertices_that_coincide_seen_from_the_second_joint():
 
 @pytest.mark.parametrize("turn", np.linspace(-math.pi, math.pi, 25))
 def test_joint_on_the_side_of_a_polygon_collides_always(turn):
-    """Bearings of points beside the joint are rounding errors there."""
+    """Bearings of points at the joint are rounding errors there."""
     rotation = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
     wall = (0.3 * SQUARE + [0.3, 0.07]) @ rotation
     arm = one_link(half_width=0.0)
@@ -307,9 +308,9 @@ def test_forbidden_interval_between_any_two_nodes(first, last):
     assert np.flatnonzero(occupancy(arm, sections, grid).occupied).tolist() == list(range(first, last + 1))
 
 
-# What cannot be asked
+# Invalid arguments
 
 
 def test_grid_of_another_arm_is_refused(robot, scene):
-    with pytest.raises(InputError, match="the arm has 3 links, the grid 2 axes and the sections are for 3 links"):
+    with pytest.raises(InputError, match="the arm has 3 links, the grid has 2 axes, and the sections are for 3 links"):
         occupancy(robot.arm, arm_sections(robot, scene.solids), Grid.over([0, 0], [1, 1], 0.1))

@@ -1,4 +1,4 @@
-"""Grids and their searches: nodes, floods, two levels, layers of yaw, what blocks."""
+"""Grids and their searches: nodes, floods, two levels, layers of yaw, blockers."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def check(free: BoolArray, start: IntArray, goal: IntArray, step: FloatArray, *,
             assert_path(free, result.path, start, goal)
             assert path_cost(result.path, step) == pytest.approx(result.cost, abs=1e-9)
 
-    # Each slice: a path exactly where there is one, and a shortest.
+    # Each slice has a shortest path if and only if a path exists.
     expected = slice_paths(free, start, goal, step)
     own = {number: path for number, path in two_level.slice_paths.items() if number in expected}
     assert own.keys() == expected.keys()
@@ -203,7 +203,7 @@ def test_octile_bound_is_consistent(shape: tuple[int, ...], step: list[float]) -
             assert octile(lattice, node, goal) <= cost + octile(lattice, other, goal) + 1e-12
 
 
-# Values of the reference scene and of the paper's demonstration, and what every result must keep
+# Values of the reference scene and of the paper's demonstration, and invariants of all results
 
 
 START, GOAL = [0, 0, 0], [45, 60, 70]
@@ -297,7 +297,7 @@ def test_grown_takes_in_all_neighbours(shape: tuple[int, ...]) -> None:
 
 
 def test_only_obstacles_at_the_reached_region_count(robot: Robot) -> None:
-    """One ball stops the upper arm; another is behind it, out of reach of what the start reaches."""
+    """One ball stops the upper arm; another is behind it, not adjacent to the reached region."""
     balls = [
         Sphere(name="near", center=(0.5, 0.0, 0.85), radius=0.1),
         Sphere(name="behind", center=(-1.0, 0.0, 1.6), radius=0.1),

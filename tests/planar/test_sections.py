@@ -9,7 +9,8 @@ import pytest
 from arm_variants import VARIANTS, load_variant, random_obstacles
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from studies.planar_cspace import RoundedPolygon, arm_sections, joint_grid, planar_sections
+from planar_sections import RoundedPolygon, planar_sections
+from studies.planar_cspace import arm_sections, joint_grid
 from test_occupancy import point_segment, segment_polygon
 
 from hplan.collision.coal_scene import CoalScene
@@ -27,7 +28,7 @@ UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 @dataclass(frozen=True)
 class Solid:
-    """What a section needs to know of an obstacle."""
+    """Data of an obstacle for its section."""
 
     core: np.ndarray
     rounding: float
@@ -80,7 +81,7 @@ def around(core, radius, rng, count=2000):
 
 
 def random_capsule(rng):
-    """Ends beside, across or nearly in the plane."""
+    """Ends off, across or nearly in the plane."""
     core = rng.uniform(-1.0, 1.0, (2, 3)) * rng.choice([1.0, 0.2, 0.01], (2, 3))
     return core, rng.choice([0.01, 0.05, 0.3])
 
@@ -130,7 +131,7 @@ def support_of(section, directions):
 def supports(core, radius, directions):
     """Support of the section by projection along the plane, where the code goes by convex duality.
 
-    Seen so, the core's points stand at `reach` (along the direction) and `heights`; the section ends where the last
+    In this view the core's points are at `reach` (along the direction) and `heights`; the section ends where the last
     of the arcs about them, or of the sides that join two arcs, crosses height 0.
     """
     reach, heights = core[:, :2] @ directions.T, core[:, 2]
@@ -202,7 +203,7 @@ def random_solid(kind, rng, yaw=0.0):
 
 
 def test_rectangle_counts_ball_at_its_flank_as_nearer(robot):
-    """Half-width 0.05 across the plane: of a ball 0.15 aside only what reaches the flank counts."""
+    """Half-width 0.05 across the plane: a ball 0.15 aside counts only as far as it reaches the flank."""
     ball = Sphere(name="ball", center=(1.0, 0.15, 1.0), radius=0.125)
     sections = arm_sections(robot, [ball], link_model="rectangle")
     assert sections.link_start.tolist() == [0, 1, 2, 3]
@@ -294,14 +295,14 @@ def test_each_obstacle_keeps_its_own_clearance(robot):
         np.testing.assert_array_equal(together.bounds[mine], alone.bounds)
 
 
-# What cannot be asked
+# Invalid arguments
 
 
 def test_rectangle_takes_only_balls(robot):
     box = Box(name="crate", center=(1, 0, 1), size=(0.1, 0.1, 0.1))
-    with pytest.raises(OptionError, match="'crate' is none"):
+    with pytest.raises(OptionError, match="'crate' is not a sphere"):
         arm_sections(robot, [box], link_model="rectangle")
-    with pytest.raises(OptionError, match="'section 0' is none"):
+    with pytest.raises(OptionError, match="'section 0' is not a sphere"):
         planar_sections([RoundedPolygon(np.eye(2), 0.1)], np.array([0.1]), link_model="rectangle")
 
 

@@ -1,4 +1,4 @@
-"""Slices searched with their neighbours' bounds: each path is as short as that of a search of its own."""
+"""Slices searched with their neighbours' bounds: each path is as short as by a separate search."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ def test_arm_of_two_links_and_a_foreign_trajectory(robot: Robot, tmp_path: Path)
     names += ("lower", "upper", "velocity", "effort", "acceleration", "jerk")
     fewer = {name: getattr(HARVESTER, name)[:-1] for name in names}
     urdf, limits = write_robot(replace(HARVESTER, name="two", **fewer), tmp_path / "two.urdf")
-    with pytest.raises(InputError, match="wants three planar joints; 'two' has 2"):
+    with pytest.raises(InputError, match="requires three planar joints; 'two' has 2"):
         yaw_section(load_robot(urdf, limits=limits), scene(), Playback(motion(robot)))
     with pytest.raises(InputError, match="the trajectory moves a, b, c, d"):
         yaw_section(robot, scene(), Playback(replace(motion(robot), joint_names=("a", "b", "c", "d"))))

@@ -127,7 +127,7 @@ def test_where_no_approach_is_clear_the_motion_itself_leads_to_the_fruit(picker:
 
 
 def test_unreachable_and_blocked_goals_are_distinguished(picker: Robot) -> None:
-    with pytest.raises(errors.UnreachableError, match="beyond the stretched arm"):
+    with pytest.raises(errors.UnreachableError, match="beyond the reach of the stretched arm"):
         plan(picker, scene_of(picker, Goal(position=(5.0, 0.0, 0.5))))
     crate = Sphere(name="crate", center=(0.45, -0.35, 0.4), radius=0.08)
     with pytest.raises(errors.BlockedError, match="crate") as caught:

@@ -170,7 +170,7 @@ def test_command_reports_ratio_to_duration_bound(tmp_path: Path, capsys: pytest.
     bound = json.loads((tmp_path / "report.json").read_text())["bound"]
     percents = float(said.partition("at most ")[2].partition(" %")[0])
     assert bound["gap"] <= percents / 100.0 < bound["gap"] + 0.002
-    assert f"none is shorter than {bound['bound_s']:.3f} s" in said
+    assert f"no motion is shorter than {bound['bound_s']:.3f} s" in said
 
 
 def joint(goal: float, velocity: float, acceleration: float, jerk: float = np.inf, *, wide: float = 100.0):

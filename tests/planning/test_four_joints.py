@@ -385,6 +385,6 @@ def test_fruit_is_picked_and_nothing_touched(aside: Robot) -> None:
 
 def test_fruit_at_the_yaw_axis_is_out_of_reach(aside: Robot) -> None:
     with pytest.raises(
-        UnreachableError, match=r"nearer to the yaw axis than the arm plane, which passes that at 0\.15 m"
+        UnreachableError, match=r"closer to the yaw axis than the arm plane, whose distance from the axis is 0\.15 m"
     ):
         plan(aside, scene_to((0.3, -0.15, 1.9)))

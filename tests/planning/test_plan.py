@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import planned
 import pytest
+from planar_sections import sampled_occupancy
 from planned import assert_sound
 from scipy.stats import chi
-from studies.planar_cspace import sampled_occupancy
 
 import hplan
 from hplan.collision.coal_scene import CoalScene
@@ -201,7 +201,7 @@ def test_another_seed_may_lead_to_another_motion_and_each_is_the_same_every_time
 
 def test_results_are_a_line(robot: Robot, scene: Scene) -> None:
     result = plan(robot, scene, PlanOptions(effort="quick"))
-    assert re.fullmatch(r"<Trajectory: \S+ s, \d+ rows, joints base_yaw, .*>", repr(result.trajectory))
+    assert re.fullmatch(r"<Trajectory: \S+ s, \d+ samples, joints base_yaw, .*>", repr(result.trajectory))
     assert len(repr(result)) < 1500
     assert len(repr(result.motion)) < 1500
 

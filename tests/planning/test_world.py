@@ -141,7 +141,7 @@ def test_refusal_of_a_configuration_names_the_largest_error(robot: Robot) -> Non
             continue
         kinds["margin"] += 1
         assert facts["tracking_error_deg"] == pytest.approx(math.degrees(0.1))
-        assert "would do is up to" in str(refused.value)
+        assert "would succeed with up to" in str(refused.value)
         largest = math.radians(facts["largest_tracking_error_deg"])
         check(q, 0.999 * largest)
         with pytest.raises(ConfigurationInCollisionError):

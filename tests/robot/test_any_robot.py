@@ -56,7 +56,7 @@ def test_names_are_known_to_scenes():
     assert set(robot_names()) == {*shipped_robots(), *NAMED_ROBOTS}
     ends = {"start": Start(joints_rad=(0.0,)), "goal": Goal(joints_rad=(0.0,))}
     assert Scene(name="any", robot="ur5", **ends).robot == "ur5"
-    with pytest.raises(ValueError, match="no robot has that name in hplan; there are harvester, "):
+    with pytest.raises(ValueError, match="hplan has no robot with this name; there are harvester, "):
         Scene(name="any", robot="ur6", **ends)
 
 
@@ -112,24 +112,26 @@ def test_srdf(tmp_path):
         '<disable_collisions link1="b" link2="e" reason="NotInSampling"/></robot>'
     )
     assert read_srdf(path) == (("a", "b", "Adjacent"), ("b", "d", "by the SRDF"))
-    with pytest.raises(RobotFileError, match="it is another robot's: of its pairs, 'a' and 'b' first, none is of this"):
+    with pytest.raises(
+        RobotFileError, match="it is for another robot: none of its pairs, 'a' and 'b' first, is of links"
+    ):
         load_robot(LIFT, srdf=path)
     path.write_text(path.read_text().replace('"a"', '"turn_link"').replace('"b"', '"out_link"'))
     assert load_robot(LIFT, srdf=path).may_touch == read_srdf(path)
     path.write_text('<robot name="x"><group name="arm"/></robot>')
     assert load_robot(LIFT, srdf=path).may_touch == ()
     path.write_text(LIFT)
-    with pytest.raises(RobotFileError, match="it is a URDF, for it has a <link>; expected an SRDF"):
+    with pytest.raises(RobotFileError, match="it is a URDF because it has a <link>; expected an SRDF"):
         read_srdf(path)
     path.write_text('<robot name="x"><disable_collisions link1="a"/></robot>')
-    with pytest.raises(RobotFileError, match="line 1: <disable_collisions> names no two links"):
+    with pytest.raises(RobotFileError, match="line 1: <disable_collisions> does not name two links"):
         read_srdf(path)
     with pytest.raises(RobotFileError, match="No such file"):
         load_robot(LIFT, srdf=tmp_path / "none.srdf")
 
 
 def test_missing_tool_frame_is_reported_before_its_joints():
-    """Without it there is no chain, and mimicking fingers would seem to be joints of the arm."""
+    """Without it the chain is missing, and mimicking fingers would seem to be joints of the arm."""
     finger = '<joint name="finger" type="revolute"><parent link="base_link"/><child link="finger_link"/>'
     limit = '<axis xyz="0 0 1"/><limit lower="0" upper="1" velocity="1" effort="1"/>'
     mimics = f'{finger}{limit}<mimic joint="wrist"/></joint><link name="finger_link"/></robot>'
@@ -139,7 +141,7 @@ def test_missing_tool_frame_is_reported_before_its_joints():
 
 def test_limits_that_ship_are_taken_by_the_name_of_their_robot():
     text, limits = six_axis_arm(), shipped_limits("ur5")
-    with pytest.raises(RobotFileError, match=r"or the name of a robot whose limits ship: harvester, .*ur5"):
+    with pytest.raises(RobotFileError, match=r"or the name of a robot whose limits ship with hplan: harvester, .*ur5"):
         load_robot(text)
     with pytest.raises(RobotFileError, match=r"ur5\.limits\.yaml: .*joints missing"):
         load_robot(text, limits="ur5")

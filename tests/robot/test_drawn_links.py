@@ -18,10 +18,10 @@ from hplan.apps.view.page import certificate_words
 from hplan.base.data_files import robot_names, shipped_robots
 from hplan.certificate.digests import robot_digest
 from hplan.errors import MissingVisualWarning, RobotFileError, UncoveredLinkWarning
-from hplan.planning.cell import load_cell
 from hplan.planning.report import certificate_report
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
+from hplan.workcell.cell import load_cell
 
 HERE, THERE, ON_THE_WAY = (0.0, 0.4, 0.9, 0.3, 0.7, 0.0), (1.0, 0.4, 0.9, 0.3, 0.7, 0.0), (0.5, 0.4, 0.9, 0.3, 0.7, 0.0)
 TUBE = '<geometry><cylinder radius="0.1" length="0.3"/></geometry>'
@@ -161,7 +161,7 @@ def test_oversized_shapes_are_reported_and_cover(meshes):
     drawn = body("visual", mesh(meshes / "block.stl"))
     robot, found = loaded(arm({3: drawn + body("collision", mesh(meshes / "in_mm.stl"))}))
     assert robot.uncovered_links == ()
-    assert "0.274 m across as drawn, but its collision shape 274 m" in str(found[0].message)
+    assert "0.274 m across as drawn, but its collision shape is 274 m" in str(found[0].message)
 
 
 def test_empty_collision_meshes_are_refused_or_built_anew(meshes):
@@ -222,7 +222,7 @@ def test_certificate_report_and_page_name_uncovered_shapes():
     report = certificate_report(again, hplan.PlanOptions(), scene)
     assert report["uncovered_links"] == ["l3"]
     assert result.report["certificate"]["uncovered_links"] == ["l3"]
-    assert "not covered, as drawn without a fitting collision shape: l3" in certificate_words(again)[1]
+    assert "not covered, because drawn without a matching collision shape: l3" in certificate_words(again)[1]
     # With shapes from the visual the same motion is refused.
     covered, _ = loaded(arm({3: SEEN}), collision_from_visual=True, allow_neighbours=True)
     refused = hplan.certify(covered, scene, result.trajectory)

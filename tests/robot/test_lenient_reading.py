@@ -16,7 +16,7 @@ from hplan.errors import InputError, MissingVisualWarning, RobotFileError, Robot
 from hplan.robot.model import Robot, load_robot
 
 ARM = six_axis_arm()
-#: The same arm without accelerations in a file beside it.
+#: The same arm without accelerations in a file next to it.
 WITH_ACCELERATIONS = ARM.replace('effort="150"', 'effort="150" acceleration="5"')
 ELBOW = '<link name="elbow_link">'
 INERTIA = '<inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/>'
@@ -55,12 +55,12 @@ def told(source: Path | str, **options: object) -> list[str]:
 HARMLESS = {
     "a second material": (
         ("<collision>", DRAWN.format('<material name="grey"/><material name="red"/>') + "<collision>"),
-        "link 'elbow_link': a second <material> in <visual>; only one would count; it is left out",
+        "link 'elbow_link': a second <material> in <visual>; one of them would be ignored; it is left out",
     ),
-    "a material of a link": (("<collision>", '<material name="grey"/><collision>'), "<material> in <link> means"),
+    "a material of a link": (("<collision>", '<material name="grey"/><collision>'), "<material> in <link> has no"),
     "a visual of no size": (
         ("<collision>", '<visual><geometry><box size="0 0,1 0"/></geometry></visual><collision>'),
-        "size of <box> is '0 0,1 0', expected 3 finite numbers with spaces between; the <visual> is left out",
+        "size of <box> is '0 0,1 0', expected 3 finite numbers separated by spaces; the <visual> is left out",
     ),
     "an inertia off by 0.7 %": (
         (INERTIA, INERTIA.replace('izz="0.01"', 'izz="0.0403"')), "larger than the sum of the others; they count"
@@ -111,8 +111,9 @@ def test_all_faults_are_reported_together(tmp_path):
         load_robot(write(tmp_path, text))
     faults = caught.value.faults
     for part in (
-        "<colision> in <link> means nothing", "'shoulder_pan': <limit> has no effort; a limits file may give it (hplan",
-        "'shoulder_pan': velocity of <limit> is '0', expected a finite number that is positive; a limits file may give",
+        "<colision> in <link> has no meaning",
+        "'shoulder_pan': <limit> has no effort; a limits file may give it (hplan",
+        "'shoulder_pan': velocity of <limit> is '0', expected a positive finite number; a limits file may give",
         "'shoulder_lift': velocity of <limit> is '0'", "value of <mass> is '2,5'", "frame 'tool0': it marks the end",
         "it has no acceleration limits",
     ):  # fmt: skip

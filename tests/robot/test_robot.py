@@ -232,13 +232,17 @@ def test_yaw_axis_down(load_edited, tmp_path):
         assert load_robot(path).has_yaw
     path.write_text(SHIPPED.replace('<axis xyz="0 0 1"/>', '<axis xyz="1 0 0"/>'))
     with pytest.raises(
-        RobotFamilyError, match="joint 'base_yaw': it is not parallel to the next joint and not vertical"
+        RobotFamilyError, match="joint 'base_yaw': it is neither parallel to the next joint nor vertical"
     ):
         assert load_robot(path).has_yaw
 
 
 TILTS = {
-    "yaw": ('<axis xyz="0 0 1"/>', '<axis xyz="{} 0 1"/>', "joint 'base_yaw': it is not parallel to the next joint"),
+    "yaw": (
+        '<axis xyz="0 0 1"/>',
+        '<axis xyz="{} 0 1"/>',
+        "joint 'base_yaw': it is neither parallel to the next joint",
+    ),
     "shoulder": ('<axis xyz="0 -1 0"/>', '<axis xyz="0 -1 {}"/>', "joint 'shoulder': it is not perpendicular to the"),
     "wrist": (
         '<axis xyz="0 -1 0"/>\n    <limit effort="30"',
@@ -259,7 +263,7 @@ def test_slightly_tilted_axes_are_refused_with_advice(load_edited, tmp_path, axi
     with pytest.raises(RobotFamilyError) as caught:
         assert load_robot(path).has_yaw
     assert message in caught.value.message
-    assert f", by {tilt:.3g} rad, of which 1e-09 is taken: write angles in full" in caught.value.message
+    assert f" by {tilt:.3g} rad, more than the tolerance of 1e-09: write angles in full" in caught.value.message
     path.write_text(SHIPPED.replace(old, new.format("1e-10"), 1))
     assert load_robot(path).has_yaw
 
@@ -308,7 +312,7 @@ def test_six_axis_arm_with_offsets_is_not_planar(tmp_path):
         assert robot.arm
     assert caught.value.message == (
         "robot 'six_axes' is not a planar arm on an optional yaw: joint 'wrist_2': it is not parallel to joint "
-        "'shoulder_lift'; hold={'wrist_2': 0.0} (--hold wrist_2=0) lets it stand still"
+        "'shoulder_lift'; hold={'wrist_2': 0.0} (--hold wrist_2=0) locks it"
     )
 
 
@@ -372,7 +376,7 @@ jerk_rad_s3: {b: 20, a: 1e1}
         ("{a: 1", "{a: 0", "line 2: acceleration_rad_s2.a: input should be greater than 0 (got 0)"),
         ("{a: 1", "{a: .nan", "finite number (got nan)"),
         ("{a: 1, ", "{", "acceleration_rad_s2: joints missing ['a'], unknown []"),
-        ("{a: 1", "{a: 1, a: 9", "line 2: malformed YAML: key 'a' stands on line 2 already"),
+        ("{a: 1", "{a: 1, a: 9", "line 2: malformed YAML: key 'a' is already on line 2"),
         ("acceleration_rad_s2: {a: 1, b: 2.5}", "", "acceleration_rad_s2 is missing"),
         ("format: hplan-limits/1", "", "format: this key is missing; expected format: hplan-limits/1"),
         ("jerk_rad_s3", "snap", "line 3: snap: unknown key"),

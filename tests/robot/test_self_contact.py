@@ -1,4 +1,4 @@
-"""Which parts of an arm can touch, and that C-space, distances, judge and certificate all know it; truth is coal's."""
+"""Parts of an arm that can touch: C-space, distances, checker and certificate against coal."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from hplan.robot.model import Robot
 from hplan.robot.self_contact import radius_in_plane, self_contact
 from hplan.scene.obstacles import Sphere
 
-#: A section of what carries the arm stands out by no more than this [m].
+#: Maximum protrusion of the section of a body that carries the arm [m].
 STANDS_OUT = 2.5e-3
 
 #: Where signed distances are this near to zero, either side may call it contact [m].
@@ -49,7 +49,7 @@ def wide(tmp_path_factory) -> Robot:
 
 
 class Truth:
-    """Coal, asked without hplan: capsule links, and what carries the arm as the URDF gives it."""
+    """Distances by coal without hplan: capsule links, and the bodies of the URDF that carry the arm."""
 
     def __init__(self, robot: Robot) -> None:
         self.robot, self.data = robot, robot.model.createData()
@@ -62,7 +62,7 @@ class Truth:
         self.base = {str(number): g for number, g in shapes if g.parentJoint < self.moving}
 
     def distances(self, q):
-        """By (link, other): a link's number, or that of a shape of the base as a text; what joins them left out."""
+        """By (link, other): numbers of links, or of a shape of the base as a text, without adjacent parts."""
         robot, data = self.robot, self.data
         pin.forwardKinematics(robot.model, data, np.asarray(q, dtype=float))
         axes = link_axes(robot, q)
@@ -91,8 +91,13 @@ class Truth:
         return coal.distance(*pair, coal.DistanceRequest(), coal.DistanceResult())
 
 
+@pytest.fixture(scope="module")
+def arms(tmp_path_factory):
+    """Fourteen arms of two to four links with wide and narrow joint ranges; half of them with offsets."""
+    return list(random_arms(np.random.default_rng(0), tmp_path_factory.mktemp("arms"), 14))
+
+
 def random_arms(rng, folder, count):
-    """Arms of two to four links whose joints may turn far, or not so far; half of them with offsets."""
     aside = np.random.default_rng(count)
     for number in range(count):
         links = int(rng.integers(2, 5))
@@ -105,7 +110,9 @@ def random_arms(rng, folder, count):
             place, side, *beside = aside.uniform(-1.0, 1.0, (links + 2, 2)).round(3)
             offsets = {"yaw_axis": (0.4 * place).tolist(), "shoulder_offset": 0.3 * side[0]}
             offsets["link_offsets"] = [0.08 * each[0] if each[1] > -0.2 else 0.0 for each in beside]
-        yield arm_of(folder, low, high, lengths=lengths, widths=widths, has_yaw=has_yaw, height=height, **offsets)
+        own = folder / str(number)
+        own.mkdir()
+        yield arm_of(own, low, high, lengths=lengths, widths=widths, has_yaw=has_yaw, height=height, **offsets)
 
 
 def named_pairs(robot):
@@ -128,10 +135,10 @@ def test_harvester_cannot_touch_itself(robot, scene):
     assert sections.obstacle_names == tuple(solid.name for solid in scene.solids)
 
 
-def test_pairs_are_those_that_sampling_finds(tmp_path):
+def test_pairs_are_those_that_sampling_finds(arms):
     rng = np.random.default_rng(0)
     seen, apart = 0, 0
-    for robot in random_arms(rng, tmp_path, 12):
+    for robot in arms[:12]:
         truth, known = Truth(robot), named_pairs(robot)
         least = {}
         for q in rng.uniform(robot.lower, robot.upper, (300, robot.dof)):
@@ -147,7 +154,7 @@ def test_pairs_are_those_that_sampling_finds(tmp_path):
 
 
 def test_turret_turns_about_yaw_axis(tmp_path):
-    """An axle that carries a shoulder beside the axis, as Pinocchio turns it."""
+    """An axle that carries a shoulder off the axis, as Pinocchio turns it."""
     robot = arm_of(tmp_path, 0.0, 90.0, yaw_axis=(0.7, -0.5), shoulder_offset=0.4)
     (axle,) = turning_shapes(robot)
     assert axle.radius == pytest.approx(math.hypot(0.4, 0.8 * 0.05), rel=2e-3)
@@ -163,10 +170,10 @@ def test_turret_turns_about_yaw_axis(tmp_path):
 # C-space
 
 
-def test_cspace_against_coal(tmp_path):
+def test_cspace_against_coal(arms):
     rng = np.random.default_rng(5)
     contacts = 0
-    for robot in random_arms(rng, tmp_path, 8):
+    for robot in arms[:8]:
         step = math.radians({2: 6.0, 3: 15.0, 4: 16.0}[robot.arm.link_count])
         grid = joint_grid(robot.arm, step)
         ours = {
@@ -232,10 +239,10 @@ def own_clearances(robot, field, truth, q, found):
     return expected, found[len(found) - len(pairs) :]
 
 
-def test_distances_from_bodies_that_carry_the_arm(tmp_path):
+def test_distances_from_bodies_that_carry_the_arm(arms):
     rng = np.random.default_rng(12)
     near = 0
-    for robot in random_arms(rng, tmp_path, 12):
+    for robot in arms[:12]:
         field, truth = ClearanceField.of(robot, [], own_clearance=0.01), Truth(robot)
         for q in rng.uniform(robot.lower, robot.upper, (100, robot.dof)):
             expected, found = own_clearances(robot, field, truth, q, field.link_clearances(q, 100.0))
@@ -269,10 +276,10 @@ def test_certified_clearances_are_clear(wide):
 # Judge
 
 
-def test_judge_against_coal(tmp_path):
+def test_judge_against_coal(arms):
     rng = np.random.default_rng(21)
     contacts = 0
-    for robot in random_arms(rng, tmp_path, 10):
+    for robot in arms[:10]:
         obstacles = [Sphere(name="turret", center=(2.0, 0.5, 1.0), radius=0.2)]  # a name that the arm has too
         checker = CoalScene(robot, obstacles, single_joint_pairs=False)
         truth, known = Truth(robot), named_pairs(robot)
@@ -313,7 +320,7 @@ def test_judge_against_coal(tmp_path):
     ],
 )
 def test_bounds_contain_motion_of_points(tmp_path, has_yaw, offsets):
-    """Ends of links' axes, and of those that a pair has beyond a joint, as seen from the other part of the pair."""
+    """Ends of links' axes, and of a pair's axes beyond a joint, as seen from the other part of the pair."""
     lengths = (0.6, 0.5, 0.4, 0.3)
     robot = arm_of(tmp_path, -150, 150, lengths=lengths, widths=(0.04,) * 4, has_yaw=has_yaw, height=0.4, **offsets)
     rng, checker, data = np.random.default_rng(31), CoalScene(robot, []), robot.model.createData()
@@ -347,10 +354,10 @@ def clearance_is_shown(certificate):
     return not any("comes to" in violation for violation in certificate.violations)
 
 
-def test_certificates_agree_with_dense_sampling(tmp_path):
+def test_certificates_agree_with_dense_sampling(arms):
     rng = np.random.default_rng(41)
     shown = refused = 0
-    for robot in random_arms(rng, tmp_path, 14):
+    for robot in arms:
         truth, known = Truth(robot), named_pairs(robot)
         if not known:
             continue
@@ -384,7 +391,7 @@ def test_fold_is_refused_and_named(wide):
     assert "link 'hand' comes to" in violation
     assert "of link 'upper_arm'" in violation
     assert (certificate.nearest.link, certificate.nearest.obstacle) == ("hand", "upper_arm")
-    # Not as far, and it is shown; the yaw takes nothing from what links have to spare, the tracking error does.
+    # A smaller fold is certified; the yaw takes nothing from the clearance of links, the tracking error does.
     nearly = np.radians([90.0, 0.0, 120.0, 100.0])
     spare = Truth(wide).clearance(nearly)
     assert 0.02 < spare < 0.2

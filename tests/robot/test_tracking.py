@@ -187,7 +187,7 @@ def test_refusal_of_all_grasps_names_the_largest_error(robot: Robot) -> None:
     facts = refused.value.data
     assert facts["tracking_error_deg"] == pytest.approx(1.0)
     largest = math.radians(facts["largest_tracking_error_deg"])
-    assert f"would do is up to {facts['largest_tracking_error_deg']:.4g} deg" in refused.value.message
+    assert f"would succeed with up to {facts['largest_tracking_error_deg']:.4g} deg" in refused.value.message
     assert plan(robot, scene, PlanOptions(tracking_error=0.99 * largest)).certificate.verified
     with pytest.raises(BlockedError):
         plan(robot, scene, PlanOptions(tracking_error=1.01 * largest))
@@ -219,7 +219,7 @@ def test_refusal_names_largest_possible_tracking_error(robot: Robot, delay_s: fl
         plan(robot, scene, PlanOptions(tracking_error=error, tracking_delay_s=delay_s))
     facts, motion = refused.value.data, plan(robot, scene).trajectory
     assert (facts["tracking_error_deg"], facts["tracking_delay_ms"]) == (pytest.approx(1.0), 1e3 * delay_s)
-    assert "has room for up to" in refused.value.message
+    assert "allows up to" in refused.value.message
     share = facts["largest_tracking_error_deg"]
     assert facts["largest_tracking_delay_ms"] == pytest.approx(share * 1e3 * delay_s)
     for factor, shown in ((0.999, True), (1.01, False)):

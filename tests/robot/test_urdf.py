@@ -61,13 +61,13 @@ FAULTS = {
     "four numbers of three": ('xyz="0.1 0 0"', 'xyz="0.1 0 0 0"', "expected 3 finite numbers"),
     "full-width space": ('xyz="0.1 0 0"', 'xyz="0.1\u30000\u30000"', "xyz of <origin>"),
     "a place beyond all": ('xyz="0.1 0 0"', 'xyz="1e200 0 0"', "3 finite numbers of at most 10000 m"),
-    "a size beyond all": ('"0.05 0.1 0.02"', '"0.05 0.1 1e308"', "positive, at most 10000 m"),
+    "a size beyond all": ('"0.05 0.1 0.02"', '"0.05 0.1 1e308"', "a positive finite number, at most 10000 m"),
     "no mass": ('<mass value="3"/>', "", "<inertial> has no <mass>"),
     "an inertia with a number missing": ('iyz="0" ', "", "<inertia> has no iyz"),
-    "negative inertia": ('ixx=".01"', 'ixx="-.01"', "principal moments -0.01, 0.01, 0.01 kg m^2; of a body none is"),
+    "negative inertia": ('ixx=".01"', 'ixx="-.01"', "principal moments -0.01, 0.01, 0.01 kg m^2; those of a body are"),
     "an inertia of no body": ('izz=".01"', 'izz=".03"', "principal moments 0.01, 0.01, 0.03"),
-    "misspelled collision": ("<collision>", "<colision>", "<colision> in <link> means nothing"),
-    "misspelled attribute": ('<origin xyz="0.1', '<origin xzy="0.1', "xzy of <origin> means nothing"),
+    "misspelled collision": ("<collision>", "<colision>", "<colision> in <link> has no meaning"),
+    "misspelled attribute": ('<origin xyz="0.1', '<origin xzy="0.1', "xzy of <origin> has no meaning"),
     "unknown shape": ('<box size="0.05 0.1 0.02"/>', '<cone radius="1" length="1"/>', "<cone> in <geometry>"),
     "two shapes": ('<box size="0.05', '<sphere radius="1"/><box size="0.05', "a <geometry> has 2 shapes"),
     "mesh of scale 0": ('<box size="0.05 0.1 0.02"/>', '<mesh filename="a.stl" scale="1 0 1"/>', "scale of <mesh> is"),
@@ -91,7 +91,7 @@ JOINT_FAULTS = {
     "decimal comma in the origin": ('xyz="0.8 0 0"', 'xyz="0,8 0 0"', "xyz of <origin> is '0,8 0 0'", 3),
     "decimal comma in the axis": ('"0 -1 0"', '"0 -1,0 0"', "xyz of <axis> is '0 -1,0 0'", 4),
     "axis without numbers": ('<axis xyz="0 -1 0"/>', "<axis/>", "<axis> has no xyz", 4),
-    "misspelled limit": ('lower="0"', 'low="0"', "low of <limit> means nothing", 5),
+    "misspelled limit": ('lower="0"', 'low="0"', "low of <limit> has no meaning", 5),
     "unreadable mimic": ("<axis", '<mimic joint="elbow" multiplier="1,5"/><axis', "multiplier of <mimic> is", 4),
     "unknown type": ('"revolute"', '"Revolute"', "its type is 'Revolute', expected one of revolute, continuous", 0),
     "two axes": ("<axis", '<axis xyz="0 1 0"/><axis', "a second <axis> in <joint>", 4),
@@ -113,7 +113,7 @@ def test_faults_of_joints_name_line_and_element(tmp_path, case):
 @pytest.mark.parametrize("what", ["joint", "link", "robot"])
 def test_names_that_break_lines_are_refused(tmp_path, what, name):
     old = {"joint": '"wrist"', "link": '"hand"', "robot": '"harvester"'}[what]
-    with pytest.raises(RobotFileError, match=r"has no name|a name holds no line break"):
+    with pytest.raises(RobotFileError, match=r"has no name|a name has no line break"):
         load_robot(write(tmp_path, SHIPPED.replace(old, f'"{name}"')))
 
 
@@ -145,7 +145,7 @@ def test_elements_of_others_may_stay(tmp_path):
 
 def test_origin_of_a_link_is_refused_unless_it_is_the_links_own(tmp_path):
     text = GRIPPER.replace("<collision>", '<origin xyz="0 0 0.1"/><collision>', 1)
-    with pytest.raises(RobotFileError, match="<origin> in <link> means nothing"):
+    with pytest.raises(RobotFileError, match="<origin> in <link> has no meaning"):
         load_robot(write(tmp_path, text))
 
 
@@ -176,7 +176,7 @@ def test_accelerations_may_be_drakes():
     assert load_robot(both).acceleration_limit[:3].tolist() == [4.0, 4.0, 8.74]
     with pytest.raises(RobotFileError, match="drake:acceleration of <limit> is '8,57'"):
         load_robot(arm.replace('"8.57"', '"8,57"', 1))
-    with pytest.raises(RobotFileError, match="acceleration of <limit> is '-1', expected a finite number that is pos"):
+    with pytest.raises(RobotFileError, match="acceleration of <limit> is '-1', expected a positive finite number"):
         load_robot(arm.replace('"8.57"', '"-1"', 1))
 
 
@@ -225,13 +225,13 @@ def test_differences_are_found(tmp_path):
     check_models(path, urdf, clean, shapes)
     model = clean.copy()
     model.inertias[4] = pin.Inertia(model.inertias[4].mass - 3.0, model.inertias[4].lever, model.inertias[4].inertia)
-    expect("joint 'wrist': Pinocchio reads the inertia of what it moves as", model)
+    expect("joint 'wrist': Pinocchio reads the inertia of its moving bodies as", model)
     model = clean.copy()
     model.inertias[2] = pin.Inertia(6.0, model.inertias[2].lever + 1e-6, model.inertias[2].inertia)
     expect("joint 'shoulder': Pinocchio reads the inertia", model)
     model = clean.copy()
     model.inertias[0] = pin.Inertia.Zero()
-    expect("link 'base_link': Pinocchio reads the inertia of what stands still", model)
+    expect("link 'base_link': Pinocchio reads the inertia of the fixed bodies", model)
     model = clean.copy()
     model.jointPlacements[3] = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, 1e-6), model.jointPlacements[3].translation)
     expect("line [0-9]+: joint 'elbow': Pinocchio reads its placement", model)

@@ -177,22 +177,22 @@ def test_joints_beyond_the_tool_are_held(load):
 
 MIMIC = ('<limit effort="30"', '<mimic joint="elbow"/><limit effort="30"')
 REFUSED = {
-    "no such joint held": (SHIPPED, {"hold": {"knee": 0.0}}, InputError, "no joint 'knee' that moves; it has base_yaw"),
+    "no such joint held": (SHIPPED, {"hold": {"knee": 0.0}}, InputError, "no moving joint 'knee'; it has base_yaw"),
     "held and moved": (SHIPPED, {"hold": {"wrist": 0.0}, "joints": ["wrist"]}, InputError, "both move and be held"),
     "held outside": (SHIPPED, {"hold": {"wrist": 2.0}}, JointLimitError, "hold: joint 'wrist' is at 2 rad"),
     "another order": (SHIPPED, {"joints": ["elbow", "shoulder"]}, InputError, "the robot's order: shoulder, elbow"),
     "a finger that leads": (edited(more=FINGERS), {"joints": ["grip"]}, RobotFileError, "mimics it and would"),
     "a follower held": (edited(more=FINGERS), {"hold": {"grip_too": 0.0}}, InputError, "mimics 'grip'; hold that"),
     "a follower in the chain": (edited(MIMIC), {}, RobotFileError,
-        "joint 'wrist' mimics another; every joint must move by itself, but hold={'elbow': 0.0} (--hold elbow=0) lets "
-        "it stand still, and this one with it"),
+        "joint 'wrist' mimics another joint; every joint must move by itself, but hold={'elbow': 0.0} "
+        "(--hold elbow=0) locks it and this joint"),
     "a leader in the chain": (
         edited(more=FINGERS.replace('mimic joint="grip"', 'mimic joint="wrist"')), {}, RobotFileError,
-        "joint 'wrist': joint 'grip_too' mimics it and would have to move along; hold={'wrist': 0.0}",
+        "joint 'wrist': joint 'grip_too' mimics it and would have to move with it; hold={'wrist': 0.0}",
     ),
     "mimics nothing": (
         edited(more=FINGERS.replace('mimic joint="grip"', 'mimic joint="gripper"')), {}, RobotFileError,
-        "mimics 'gripper', which is no joint that moves",
+        "mimics 'gripper', which is not a moving joint",
     ),
     "roll in the chain": (
         edited(('<axis xyz="0 -1 0"/>\n    <limit effort="30"', '<axis xyz="1 0 0"/>\n    <limit effort="30"')), {},
@@ -200,11 +200,11 @@ REFUSED = {
     ),
     "continuous, no velocity": (
         edited(CONTINUOUS, ('velocity="1.5"', "")), {}, RobotFileError,
-        "joint 'base_yaw': it is continuous, and its <limit> gives no velocity; a motion needs both",
+        "joint 'base_yaw': it is continuous, and its <limit> has no velocity; a motion requires both",
     ),
     "moving base": (
         edited(more=LIFT), {}, RobotFileError,
-        "joint 'mount': it is prismatic and carries 'base_link', in which scenes are; only fixed joints may",
+        "joint 'mount': it is prismatic and carries 'base_link', the frame of scenes; only fixed joints may",
     ),
 }  # fmt: skip
 

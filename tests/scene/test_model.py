@@ -139,5 +139,5 @@ def test_covariances() -> None:
     for wrong in (np.array(rows) + np.eye(3, k=1), -np.array(rows), np.eye(2)):
         with pytest.raises(SceneError, match="covariance"):
             Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1, covariance=wrong)
-    with pytest.raises(SceneError, match="exclude one another"):
+    with pytest.raises(SceneError, match="exclude each other"):
         Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1, covariance=rows, sigma=0.01)

@@ -253,7 +253,7 @@ def test_xyz_and_placement(tmp_path):
     [
         (ply(POINTS[:0], "ascii"), "radius: 1", "file", "there are no points"),
         (b"", "radius: 1", "file", "is empty"),
-        (ply(POINTS, "binary_little_endian")[:-5], "radius: 1", "file", "is no whole .ply file"),
+        (ply(POINTS, "binary_little_endian")[:-5], "radius: 1", "file", "is not a complete .ply file"),
         (ply(np.array([[0, 0, np.inf]] * 2), "binary_little_endian"), "radius: 1", "file", "none of 2 points"),
         (ply(POINTS * 1e8, "ascii"), "radius: 1", "file", "expected metres"),
         (ply(POINTS, "ascii"), "{radius: 1, scale: 2}", "scale", "unknown key"),
@@ -272,12 +272,12 @@ ASCII = ply(np.arange(9.0).reshape(3, 3), "ascii")
     ("name", "content", "message"),
     [
         # trimesh read these as 600 points at other places.
-        ("c.xyz", "0,123 0,456 0,789\n1,0 2,0 3,0\n", "line 1: '0,123' is no number; write decimal points"),
-        ("c.xyz", "1 2 3\n4 5,5 6\n", "line 2: '5,5' is no number"),
-        ("c.xyz", "0.1,0.2,0.3\n", "line 1: '0.1,0.2,0.3' is no number; .* blanks between columns"),
-        ("c.xyz", "0.1;0.2;0.3\n", "line 1: .* blanks between columns"),
+        ("c.xyz", "0,123 0,456 0,789\n1,0 2,0 3,0\n", "line 1: '0,123' is not a number; use decimal points"),
+        ("c.xyz", "1 2 3\n4 5,5 6\n", "line 2: '5,5' is not a number"),
+        ("c.xyz", "0.1,0.2,0.3\n", "line 1: '0.1,0.2,0.3' is not a number; .* spaces between columns"),
+        ("c.xyz", "0.1;0.2;0.3\n", "line 1: .* spaces between columns"),
         ("c.xyz", "1.234,5 2 3\n", "line 1"),
-        ("c.xyz", "x y z\n1 2 3\n", "line 1: 'x' is no number"),
+        ("c.xyz", "x y z\n1 2 3\n", "line 1: 'x' is not a number"),
         ("c.xyz", "1 2 3\n\n4 5\n6 7 8 9\n", "line 3 has 2 columns, the lines before have 3"),
         ("c.xyz", "2\n1 2 3\n4 5 6\n", "line 2 has 3 columns, the lines before have 1"),
         ("c.xyz", "1 2 3 4\n5 6 # 7 8\n", "line 2 has 2 columns"),
@@ -288,7 +288,7 @@ ASCII = ply(np.arange(9.0).reshape(3, 3), "ascii")
         ("c.ply", (ASCII + b"9 9 9\n").decode(), "expected 3 rows after the header, got 4"),
         ("c.ply", ASCII.replace(b"3.0 4.0 5.0", b"3.0 4.0 5.0 9.0").decode(), "row 2 .* has 4 columns, expected 3"),
         ("c.ply", ASCII.replace(b"2.0\n3.0 4.0", b"2.0 3.0\n4.0").decode(), "row 1 .* has 4 columns"),
-        ("c.ply", ASCII.replace(b"4.0", b"4,0").decode(), "is no whole .ply file"),
+        ("c.ply", ASCII.replace(b"4.0", b"4,0").decode(), "is not a complete .ply file"),
     ],
 )
 def test_point_files_with_wrong_rows_are_refused(name, content, message, tmp_path):

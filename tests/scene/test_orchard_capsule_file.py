@@ -89,5 +89,5 @@ def test_nearest_fruit_of_tree_is_used_first_and_compliant_on_request(write):
     assert {piece.yields for piece in scene.obstacles if piece.radius >= 0.02} == {0.0}
     assert {piece.yields for piece in scene.obstacles if piece.radius < 0.02} == {0.02}
     assert [fruit.name for fruit in measured_orchard([path], MeasuredOptions(fruits=1)).fruits] == ["fruit 2"]
-    with pytest.raises(OptionError, match="fruit of their own"):
+    with pytest.raises(OptionError, match="their own fruits"):
         measured_orchard([path], MeasuredOptions(fruit_radius=0.03))

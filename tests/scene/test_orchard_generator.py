@@ -180,12 +180,12 @@ def test_every_fruit_of_the_tour_can_be_picked(robot):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"wire_heights": (2.0, 1.0)}, "heights that increase"),
+        ({"wire_heights": (2.0, 1.0)}, "increasing heights"),
         ({"first_branch": 2.7}, "first_branch = 2.7: expected less than the tree's height, 2.7 m"),
         ({"form": "trellis", "wire_heights": ()}, "a wire below the tree's height"),
         ({"picked": (0,)}, r"picked\[0\] = 0: expected greater than or equal to 1"),
-        ({"picked": (3, 3)}, "numbers from 1 to 24 that differ"),
-        ({"fruits": 2, "picked": (1, 2)}, "numbers from 1 to 2 that differ, and not all"),
+        ({"picked": (3, 3)}, "different numbers from 1 to 24"),
+        ({"fruits": 2, "picked": (1, 2)}, "different numbers from 1 to 2, and not all"),
     ],
 )
 def test_options_that_make_no_orchard(changes, message):
@@ -273,7 +273,7 @@ def test_only_free_ends_of_branches_are_tips():
     ]
     (fruit,) = fruit_at_tips(wood, 1)
     assert fruit.center == pytest.approx((0.32 + 0.0501, 0.0, 0.0), abs=1e-4)
-    with pytest.raises(OptionError, match="count = 2: expected at most 1, which found room") as caught:
+    with pytest.raises(OptionError, match="count = 2: expected at most 1, for which there was room") as caught:
         fruit_at_tips(wood, 2)
     assert caught.value.option == "count"
 

@@ -43,7 +43,7 @@ def test_robot_of_a_scene(tmp_path):
     assert none.robot is None
     assert "robot" not in dump_scene(none)
     assert scene_digest(none) == scene_digest(scene)  # the robot has a digest of its own
-    with pytest.raises(SceneError, match=r"no robot has that name in hplan; there are harvester, orchard") as error:
+    with pytest.raises(SceneError, match=r"hplan has no robot with this name; there are harvester, orchard") as error:
         parse_scene(HEAD.replace("start", "robot: orchard_arm\nstart", 1))
     assert (error.value.where, error.value.line) == ("robot", 3)
 
@@ -257,19 +257,19 @@ def test_bad_content(case):
     [
         ("", None, "expected a mapping"),
         ("just text", None, "expected a mapping"),
-        (f"{HEAD}name: again\n", 5, "key 'name' stands on line 2 already"),
-        (f"{HEAD}obstacles:\n  - {{name: a, name: b}}\n", 6, "key 'name' stands on line 6 already"),
+        (f"{HEAD}name: again\n", 5, "key 'name' is already on line 2"),
+        (f"{HEAD}obstacles:\n  - {{name: a, name: b}}\n", 6, "key 'name' is already on line 6"),
         (f"{HEAD}obstacles: [1, 2\n", 6, "malformed YAML"),
         (f"{HEAD}---\n{HEAD}", 5, "but found another document"),
         (f"{HEAD}[1, 2]: key\n", 5, "a key must be text"),
         (f"{HEAD}x: !!python/object/apply:os.system ['true']\n", 5, "python/object/apply:os.system' is not allowed"),
         (f"{HEAD}x: !!int abc\n", 5, "'abc' cannot be read as int"),
         (f"{HEAD}x: {'1' * 5000}\n", 5, "cannot be read as int"),
-        (f"{HEAD}x: &a [*a]\n", 5, "alias *a stands in what it repeats"),
+        (f"{HEAD}x: &a [*a]\n", 5, "alias *a is inside the value that it repeats"),
         (f"{HEAD}x: *b\n", 5, "undefined alias 'b'"),
         (f"{HEAD}x: {'[' * 5000}\n", None, "nested too deeply"),
-        (f'{HEAD}x: "\\ud83c"\n', 5, "half a character"),
-        (f"{HEAD}x: \x01\n", None, "cannot stand in YAML"),
+        (f'{HEAD}x: "\\ud83c"\n', 5, "half of a character"),
+        (f"{HEAD}x: \x01\n", None, "is not allowed in YAML"),
     ],
 )
 def test_text_that_is_not_a_scene(text, line, message):

@@ -251,5 +251,5 @@ def test_a_scene_by_another_clock_is_where_it_was(zero, clock):
 def test_times_equal_after_rounding_are_refused():
     close = Track(times_s=(0.0, 1e-12), shifts_m=((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
     assert close.since(1e-4).times_s[0] == -1e-4
-    with pytest.raises(OptionError, match="apart as numbers"):
+    with pytest.raises(OptionError, match="distinct floating-point numbers"):
         a_scene(Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1, track=close)).since(1e5)

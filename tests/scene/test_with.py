@@ -137,7 +137,7 @@ def test_public_functions_refuse_unvalidated_changes(scene):
             with pytest.raises(SceneError) as error:
                 call()
             assert error.value.where.startswith(where)
-            assert "with_(...) makes a checked copy" in str(error.value)
+            assert "with_(...) returns a checked copy" in str(error.value)
 
 
 @pytest.mark.parametrize("name", ["table-1", "orchard-row", "dense-canopy", "trellis"])
@@ -159,7 +159,7 @@ def test_misspelt_yield_link_is_refused_at_each_entrance():
         lambda: hplan.check(robot, scene, robot.lower),
         lambda: hplan.Planner(robot, scene),
     ):
-        with pytest.raises(OptionError, match=r"links that move: .*hand.*; did you mean 'hand'"):
+        with pytest.raises(OptionError, match=r"moving links: .*hand.*; did you mean 'hand'"):
             call()
 
 

@@ -97,10 +97,11 @@ def test_rows_stay_and_a_study_goes_on(file: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_row_of_a_real_tree_is_the_same_on_other_workers(file: Path) -> None:
-    study = load_study(file).model_copy(update={"distances": (1.2,), "turns_deg": (0.0,)})
+    study = load_study(file)
+    study = study.model_copy(update={"arms": study.arms[1:], "distances": (1.2,), "turns_deg": (0.0,)})
     here = run_study(study, workers=1)
     assert as_made_by_anyone(run_study(study, workers=2)) == as_made_by_anyone(here)
-    assert [(row.fruits, row.error) for row in here.rows] == [(4, "")] * 3
+    assert [(row.fruits, row.error) for row in here.rows] == [(4, "")] * 2
     assert all(1 <= row.picked <= 3 for row in here.rows)  # the fourth hangs 9 m high
 
 
@@ -177,7 +178,7 @@ def test_two_studies_do_not_write_to_one_file(file: Path, monkeypatch: pytest.Mo
         ("shoulder_height: [0.6, 0.8]", "shoulder_height: [-1]", 6, "expected greater than 0"),
         ("shoulder_height:", "shoulder:", 6, "shoulder"),
         ("start_deg: [0, 90, 90, 90]", "start_deg: [0, 90]", 6, "start"),
-        ("tree*.csv", "bush*.csv", 7, "no file"),
+        ("tree*.csv", "bush*.csv", 7, "there is no file"),
         ("distances: [1.2, 1.5]", "distances: []", 8, "at least 1"),
         ("wood:", "leaves:", 10, "unknown key"),
         ("{name: tall", "{robot: ur5, name: tall", 6, "varied"),
@@ -207,6 +208,6 @@ def test_wrong_studies(make: Callable[[], Any]) -> None:
 
 
 def test_file_of_something_else_is_left_alone(file: Path) -> None:
-    with pytest.raises(HplanError, match="no rows of a study"):
+    with pytest.raises(HplanError, match="not the table of a study"):
         run_study(file, file.parent / "tree.csv", workers=1)
     assert (file.parent / "tree.csv").read_text() == TREE

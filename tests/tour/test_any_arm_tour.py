@@ -21,8 +21,7 @@ from hplan.scene.file import save_scene
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Capsule
 from hplan.tour.motions import CARRIED, carrying
-from hplan.tour.result import TourResult
-from hplan.tour.tour import TourOptions, plan_tour
+from hplan.tour.tour import TourOptions, TourResult, plan_tour
 
 QUICK = PlanOptions(effort="quick")
 START = (0.0, 0.2, 1.2, -0.8, 0.0, 0.0)
@@ -109,4 +108,4 @@ def test_command_plans_a_tour_with_a_pose_to_drop_at(
     assert (out / "scene.html").stat().st_size > 100_000
     assert main([*arguments, "--drop-off-pose", "0", "0", "1", "0", "0", "0", "5"]) == 2
     assert main([*arguments, "--drop-off", "0", "0", "1", "--drop-off-pose", *pose]) == 2
-    assert "none with --drop-off" in capsys.readouterr().err
+    assert "no value with --drop-off" in capsys.readouterr().err

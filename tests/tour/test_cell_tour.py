@@ -18,12 +18,12 @@ from hplan.apps.view.scene_stage import stage
 from hplan.apps.view.scenery import picks
 from hplan.certificate.certificate import certify
 from hplan.errors import ConfigurationInCollisionError, TourError
-from hplan.planning.cell import Cell
 from hplan.planning.options import PlanOptions
 from hplan.scene.cell import CellRobot, CellScene
 from hplan.scene.file import load_scene
 from hplan.scene.model import Fruit, Goal, Start
 from hplan.tour.cell_tour import CellTour, plan_cell_tour
+from hplan.workcell.cell import Cell
 
 QUICK = PlanOptions(effort="quick")
 

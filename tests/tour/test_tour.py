@@ -19,7 +19,7 @@ from hplan.base import ties
 from hplan.certificate.certificate import Certificate
 from hplan.certificate.limit_use import LimitUse
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import BlockedError, InputError, TourError, UnreachableError
+from hplan.errors import BlockedError, TourError, UnreachableError
 from hplan.planning.motion import Motion
 from hplan.planning.options import PlanOptions
 from hplan.planning.problem import Problem
@@ -31,8 +31,7 @@ from hplan.tour import ordering
 from hplan.tour.motions import carrying
 from hplan.tour.moves import Joins, Moves, Stop
 from hplan.tour.ordering import SEGMENT, Costs, Visits, along, best, nearest
-from hplan.tour.result import TourResult
-from hplan.tour.tour import TourOptions, TourPlanner, plan_tour
+from hplan.tour.tour import TourOptions, TourPlanner, TourResult, plan_tour
 from hplan.trajectory.trajectory import Trajectory, read_csv
 
 OPTIONS = PlanOptions(rate_hz=100.0)
@@ -486,7 +485,7 @@ def test_command_lists_unpicked_fruit(
 
 def test_drop_off_at_pose_names_alternative(robot: Robot, scene: Scene) -> None:
     pose = Goal(position=(1.0, 0.0, 1.0), quaternion_xyzw=(0.0, 0.0, 0.0, 1.0))
-    with pytest.raises(InputError, match="approach_deg"):
+    with pytest.raises(UnreachableError, match="as a position alone"):
         plan_tour(robot, scene, OPTIONS, fruits=["a"], tour=TourOptions(drop_off=pose))
 
 

@@ -297,7 +297,7 @@ def test_speed_factor_above_one_within_limits(robot):
     quicker = scaled(slow, 1.2, robot).trajectory
     assert quicker.duration == pytest.approx(slow.duration / 1.2, rel=0.02)
     assert_within_limits(robot, quicker)
-    with pytest.raises(OptionError, match=r"factors up to .* joint .* is at its .* limit"):
+    with pytest.raises(OptionError, match=r"factors up to .* joint .* reaches its .* limit"):
         scaled(slow, 3.0, robot)
 
 

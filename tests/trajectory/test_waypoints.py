@@ -143,7 +143,7 @@ def test_script_writes_the_csv(script, capsys, files, tmp_path):
     motion = read_csv(out)
     assert motion.joint_names == ("a", "b")
     np.testing.assert_array_equal(motion.position[-1], [0.5, -1.0])
-    for word in ("w.csv", "toy", f"{motion.duration:.3f} s", "1 deg allowed", "holds the motion back"):
+    for word in ("w.csv", "toy", f"{motion.duration:.3f} s", "1 deg allowed", "at a limit"):
         assert word in text
     # hplan's output can be timed again.
     status, text, _ = run(script, capsys, files[0], out, "--acceleration", 4, "--out", tmp_path / "o2.csv", "--quiet")
@@ -160,7 +160,7 @@ def test_script_writes_the_csv(script, capsys, files, tmp_path):
         (("--acceleration", "4", "--rate", "0"), 2, "rate_hz"),
         (("--acceleration", "4", "--speed", "2"), 2, "speed"),
         (("--acceleration", "4", "--deviation", "0"), 2, "deviation_rad"),
-        (("--acceleration", "4", "--joints", "c"), 2, "no joint 'c'"),
+        (("--acceleration", "4", "--joints", "c"), 2, "no moving joint 'c'"),
         (("--acceleration", "4", "--joints", "a", "--hold", "b"), 2, "--hold = 'b'"),
         (("--limits", "none.yaml"), 2, "No such file"),
     ],
@@ -273,7 +273,7 @@ def test_mimic_is_held_with_the_one_it_mimics(load):
     # The mimicking joint follows if the other is elsewhere.
     joints = [*one, other + '<mimic joint="finger" multiplier="-0.5" offset="0.1"/>']
     assert load(*joints, hold={"finger": 0.4})[1] == {"finger": 0.4, "other": pytest.approx(-0.1)}
-    with pytest.raises(InputError, match="'other' cannot be held by itself, for it mimics 'finger'"):
+    with pytest.raises(InputError, match="'other' cannot be held by itself because it mimics 'finger'"):
         load(*joints, hold={"other": 0.4})
 
 
@@ -290,7 +290,7 @@ def test_held_joints_are_at_given_positions(load):
     with pytest.raises(InputError, match="cannot both"):
         load(*joints, joints=["a"], hold={"a": 0.0})
     for name in ("c", "l1"):
-        with pytest.raises(InputError, match=f"no joint '{name}'"):
+        with pytest.raises(InputError, match=f"no moving joint '{name}'"):
             load(*joints, joints=[name])
-    with pytest.raises(InputError, match="no joint is to move"):
+    with pytest.raises(InputError, match="there is no joint to move"):
         load(*joints, joints=[])

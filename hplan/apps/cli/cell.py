@@ -38,9 +38,9 @@ from hplan.base.units import at_least_mm
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hplan.planning.cell import CellCertificate, CellResult
     from hplan.scene.cell import ArmLink
     from hplan.tour.cell_tour import CellTour
+    from hplan.workcell.cell import CellCertificate, CellResult
 
 #: Options that apply to a single robot only, and the error text if one of them is given.
 _OF_ONE_ROBOT = (
@@ -72,7 +72,7 @@ _OF_ONE_ROBOT = (
         "csv",
     ),
 )
-_REFUSED = "none: the scene has several robots, with their own"
+_REFUSED = "no value: the scene has several robots, each with its own"
 
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tour: bool = False) -> int:
@@ -94,10 +94,10 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
     with progress_line(errors, quiet=arguments.quiet) as progress:
         progress("reading robots and scene")
         with loading():
-            from hplan.planning.cell import load_cell
-            from hplan.planning.cell_planner import plan_cell
             from hplan.planning.report import write_report
             from hplan.tour.cell_tour import plan_cell_tour
+            from hplan.workcell.cell import load_cell
+            from hplan.workcell.planner import plan_cell
         options = plan_options(arguments, *(option for option in OF_PLANS if hasattr(arguments, option)))
         cell = load_cell(arguments.scene)
         check_tracking(arguments, cell.robot)
@@ -125,10 +125,10 @@ def certify(arguments: argparse.Namespace, console: Console) -> int:
     """
     refuse(arguments, _OF_ONE_ROBOT, _REFUSED)
     with loading():
-        from hplan.planning.cell import certify_cell, load_cell, may_touch_report
         from hplan.planning.options import PlanOptions
         from hplan.planning.report import certificate_report, versions
         from hplan.trajectory.trajectory import read_csv
+        from hplan.workcell.cell import certify_cell, load_cell, may_touch_report
 
     cell, path, tracking = load_cell(arguments.scene), arguments.trajectory, tracking_of(arguments)
     check_tracking(arguments, cell.robot)
@@ -169,17 +169,17 @@ def _may_touch(pairs: Sequence[tuple[ArmLink, ArmLink]]) -> Iterator[tuple[str, 
     """Summary row of the link pairs that the scene exempts from checking."""
     if pairs:
         named = (" and ".join(f"{arm} {link!r}" for arm, link in pair) for pair in pairs)
-        yield "may touch", escape("; ".join(named)) + ": not checked, as the scene says"
+        yield "may touch", escape("; ".join(named)) + ": not checked, as declared in the scene"
 
 
 def _facts(result: CellResult | CellTour, milliseconds: float, files: str) -> Iterator[tuple[str, str]]:
-    from hplan.planning.cell import CellResult
+    from hplan.workcell.cell import CellResult
 
     report = result.report
     if isinstance(result, CellResult):
         yield "motion", f"[bold]{report['makespan_s']:.3f} s[/], {result.how}"
         alone = ", ".join(f"{escape(name)} {seconds:.3f} s" for name, seconds in report["alone_s"].items())
-        yield "alone", f"{alone}; one after the other {report['one_after_the_other_s']:.3f} s"
+        yield "alone", f"{alone}; in sequence {report['one_after_the_other_s']:.3f} s"
         if any(result.later_s.values()):
             later = (f"{escape(name)} by {later:.2f} s" for name, later in result.later_s.items() if later)
             yield "later", ", ".join(later)
@@ -192,13 +192,13 @@ def _facts(result: CellResult | CellTour, milliseconds: float, files: str) -> It
             yield "not picked", escape(f"{fruit}: {reason}")
     distances = {"between arms": report["between_arms_mm"], **report.get("arms_mm", {})}
     shown = (
-        f"{escape(name)} {'nothing near' if d is None else f'{at_least_mm(1e-3 * d)} mm'}"
+        f"{escape(name)} {'no obstacles near' if d is None else f'{at_least_mm(1e-3 * d)} mm'}"
         for name, d in distances.items()
     )
-    yield "clearance", ", ".join(shown) + " or more, shown for all times"
+    yield "clearance", ", ".join(shown) + " or more, proved for all times"
     yield "certificate", certificate_words(report["verified"])
     between = result.certificate.between if isinstance(result, CellResult) else result.between
     yield from uncovered_rows(between.uncovered_links)
     yield from _may_touch(result.cell.scene.may_touch)
-    yield "time", f"[bold]{milliseconds:,.0f} ms[/], loading of compiled code included"
+    yield "time", f"[bold]{milliseconds:,.0f} ms[/], including the loading of compiled code"
     yield "files", escape(files)

@@ -46,7 +46,7 @@ _EXIT_STATUS = """\
 exit status:
   0  certified
   2  bad input
-  5  not certified, or the folder's report is about something else
+  5  not certified, or robot, scene or trajectory differ from the report's
 """
 
 
@@ -54,22 +54,26 @@ def parser(prog: str) -> argparse.ArgumentParser:
     """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EXIT_STATUS, prog=prog)
     add = parser.add_argument
-    add("trajectory", type=Path, help="CSV, or the folder of a job")
+    add("trajectory", type=Path, help="trajectory CSV, or output folder of a plan")
     add_shared(parser, "scene", "robot", "parts", "contacts", "tracking", "sigmas", "risk")
-    add("--goal-contact", choices=("approach", "motion"), help="when the last link may touch the fruit that is "
-        "the goal: on a straight approach, or during the whole motion (default: approach)")  # fmt: skip
-    add("--interpolation", choices=("cubic", "quintic", "linear"), help="the curve that the controller runs between "
-        "rows: by positions and velocities, by accelerations too, or straight lines (default: cubic)")  # fmt: skip
-    add("--velocity-jumps", action="store_true", help="with --interpolation linear: velocity may jump at rows; "
-        "acceleration, torque and rest at the ends are not required")  # fmt: skip
-    add("--begin", type=float, default=0.0, metavar="S", help="time at which the motion begins, as the tracks of what "
-        "moves count it (default: 0)")  # fmt: skip
-    add("--any-ends", action="store_true", help="start, goal and locked joints of the scene are not compared")
-    add("--moving-ends", action="store_true", help="the motion need not begin and end at rest")
-    add("--report", type=Path, metavar="FILE", help="write what was shown as JSON")
+    add("--goal-contact", choices=("approach", "motion"), help="when the last link may touch the goal "
+        "fruit: on the straight approach or during the whole motion (default: approach)")  # fmt: skip
+    add("--interpolation", choices=("cubic", "quintic", "linear"), help="curve of the controller between samples: "
+        "from positions and velocities, with accelerations too, or straight lines (default: cubic)")  # fmt: skip
+    add("--velocity-jumps", action="store_true", help="with --interpolation linear: let the velocity jump at "
+        "samples; acceleration, torque and rest at the ends are not checked")  # fmt: skip
+    add("--begin", type=float, default=0.0, metavar="S", help="start time of the motion in seconds, on the clock of "
+        "the moving obstacles' tracks (default: 0)")  # fmt: skip
+    add(
+        "--any-ends",
+        action="store_true",
+        help="do not compare the motion with the scene's start, goal and locked joints",
+    )
+    add("--moving-ends", action="store_true", help="do not require rest at the start and the end of the motion")
+    add("--report", type=Path, metavar="FILE", help="write the certificate as JSON to this file")
     add_shared(parser, "force")
-    add("--json", action="store_true", help="print it as JSON instead of a summary")
-    add("--quiet", action="store_true", help="no summary")
+    add("--json", action="store_true", help="print the certificate as JSON instead of a summary")
+    add("--quiet", action="store_true", help="print no summary")
     # Settings that are omitted come from the report in the folder.
     parser.set_defaults(tracking_error=None, tracking_error_m=None, tracking_delay=None, sigmas=None)
     return parser
@@ -161,14 +165,14 @@ def _show(console: Console, report: dict[str, Any], error: str) -> None:
         table.add_row("", escape(violation))
     for row in uncovered_rows(proof.get("uncovered_links", ())):
         table.add_row(*row)
-    shown = " mm or more, shown for all times" if proof["verified"] else " mm, the smallest found"
+    shown = " mm or more, proved for all times" if proof["verified"] else " mm, the minimum found"
     table.add_row("clearance", clearance + shown)
     table.add_row("limits used", ", ".join(f"{k} {percent(v)}" for k, v in proof["limit_use"].items()) + " %")
     if "nearest_s" in proof:
         table.add_row("nearest", f"{proof['nearest']['obstacle']!r} at {proof['nearest_s']:.3f} s")
     if "clear_until_s" in proof:
         until = proof["clear_until_s"]
-        table.add_row("at rest", "clear for ever" if until is None else f"clear until {until:.3f} s")
+        table.add_row("at rest", "clear for all later times" if until is None else f"clear until {until:.3f} s")
     covered = f"tracking error {error}, delay {1e3 * proof['tracking_delay_s']:g} ms; {proof['sigmas']:g} sigma"
     table.add_row("covered", covered)
     if "risk" in proof:
@@ -176,8 +180,11 @@ def _show(console: Console, report: dict[str, Any], error: str) -> None:
     if "uncertain" in proof:
         left = proof["uncertain"]
         one, some = 100.0 * left["one_beyond"], 100.0 * left["any_beyond_at_most"]
-        table.add_row("not covered", f"{one:.2g} % of each sigma's places, of {left['obstacles']} in all {some:.2g} %")
-    rule = "on a straight approach" if proof["goal_contact"] == "approach" else "during the whole motion"
+        table.add_row(
+            "not covered",
+            f"{one:.2g} % of the positions of an uncertain obstacle; all {left['obstacles']} together: {some:.2g} %",
+        )
+    rule = "on the straight approach" if proof["goal_contact"] == "approach" else "during the whole motion"
     windows = [(f"fruit {escape(at['fruit'])!r}", at["begin_s"], at["end_s"]) for at in proof.get("contacts", ())]
     if not windows and proof["contact_s"] is not None:
         windows = [(f"fruit, {rule}", *proof["contact_s"])]
@@ -188,7 +195,7 @@ def _show(console: Console, report: dict[str, Any], error: str) -> None:
         what = f"{escape(push['link'])} {escape(push['obstacle'])!r}, {1e3 * push['depth_m']:.1f} mm at most"
         table.add_row("pushed", f"by {what}: {span}")
     for what in report["differs"]:
-        table.add_row("differs", f"[bold red]the {what} is not the one of {REPORT}[/]")
+        table.add_row("differs", f"[bold red]the {what} is not that of {REPORT}[/]")
     for what, digest in proof["digests"].items():
         table.add_row(what, digest[:23])
     show(console, report["scene"], report["robot"], table)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 _EPILOG = """\
 for this shell: source <(hplan completion bash)
-for later ones, write it to ~/.local/share/bash-completion/completions/hplan
+for later shells, write it to ~/.local/share/bash-completion/completions/hplan
 """
 
 _BASH = """\
@@ -55,5 +55,5 @@ def _script() -> str:
 def parser(prog: str) -> argparse.ArgumentParser:
     """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EPILOG, prog=prog)
-    parser.add_argument("shell", choices=("bash",), help="the shell")
+    parser.add_argument("shell", choices=("bash",), help="name of the shell")
     return parser

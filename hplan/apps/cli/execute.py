@@ -22,20 +22,19 @@ if TYPE_CHECKING:
     from hplan.scene.model import Scene
 
 _EPILOG = """\
-the CSV: one header line, time_s and NAME_pos_rad for each joint of the robot
-  (NAME_pos_m where it slides), in any order; NAME_vel_rad_s (NAME_vel_m_s) is
-  used where every joint has it. Between rows
-  runs the cubic through positions and velocities. Without velocities, those of
-  parabolas through three rows are taken, at rest at both ends. Other columns
-  are ignored.
+the CSV: one header line with time_s and NAME_pos_rad for each joint of the
+  robot (NAME_pos_m for a prismatic joint), in any order. NAME_vel_rad_s
+  (NAME_vel_m_s) is used if all joints have it. Otherwise velocities come from
+  parabolas through three samples, and are zero at both ends. Between samples
+  the motion is a cubic. Other columns are ignored.
 
 needs the extra `execution`: pip install 'hplan[execution]'
 
 exit status:
-  0  nothing was touched, or pushed deeper than it yields; the arm ended at the
-     goal (0.5 deg, 5 mm) and stayed
+  0  no contact, or none deeper than the obstacle's compliance; the arm ended
+     at the goal (0.5 deg, 5 mm) and stayed there
   2  bad input
-  5  something was touched, or the arm did not end at the goal
+  5  a deeper contact, or the arm did not end at the goal
 """
 
 
@@ -61,14 +60,30 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
 def parser(prog: str) -> argparse.ArgumentParser:
     """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EPILOG, prog=prog)
-    parser.add_argument("trajectory", type=Path, metavar="TRAJECTORY.csv", help="the motion")
+    parser.add_argument("trajectory", type=Path, metavar="TRAJECTORY.csv", help="CSV of the motion")
     add_shared(parser, "scene", "robot", "parts")
     add = parser.add_argument
     add(
-        "--mass-factor", type=float, default=1.0, metavar="F", help="masses, as multiples of those the controller knows"
+        "--mass-factor",
+        type=float,
+        default=1.0,
+        metavar="F",
+        help="simulated masses as multiples of those in the controller's model (default: 1)",
     )
-    add("--command-delay", type=float, default=0.0, metavar="MS", help="by how much the controller is late")
-    add("--bandwidth", type=float, default=40.0, metavar="RAD/S", help="of the position loop (default: 40)")
+    add(
+        "--command-delay",
+        type=float,
+        default=0.0,
+        metavar="MS",
+        help="delay of the controller's commands in milliseconds (default: 0)",
+    )
+    add(
+        "--bandwidth",
+        type=float,
+        default=40.0,
+        metavar="RAD/S",
+        help="bandwidth of the position loop in rad/s (default: 40)",
+    )
     add_shared(parser, "tracking")
     return parser
 
@@ -79,7 +94,7 @@ def _show(console: Console, path: Path, scene: Scene, result: Execution) -> None
 
     units = [joint_unit(slides) for slides in result.slides]
     console.print(f"\n[bold]{escape(path)}[/] in [bold]{escape(scene.name)}[/]\n", soft_wrap=True)
-    headings = "joint", "off the path", "off the goal", "torque needed", "asked", "limit"
+    headings = "joint", "path error", "goal error", "required torque", "commanded", "limit"
     table = number_table(headings, (), texts=("joint",))
     for joint, (name, unit) in enumerate(zip(result.joint_names, units, strict=True)):
         peak, limit = result.peak_torque_nm[joint], result.torque_limit_nm[joint]
@@ -103,11 +118,13 @@ def _show(console: Console, path: Path, scene: Scene, result: Execution) -> None
     if result.saturated_s > 0.0:
         joints = ", ".join(escape(name) for name in result.torque_exceeded)
         facts.add_row(
-            "torque", f"asked for [bold red]more than the motors give[/] for {result.saturated_s:.3f} s: {joints}"
+            "torque", f"commands [bold red]above the motors' limits[/] for {result.saturated_s:.3f} s: {joints}"
         )
     off = [unit.error(error) for unit, error in zip(units, result.start_error_rad, strict=True) if error > 1e-6]
     if off:
-        facts.add_row("start", f"[yellow]joints of the first row are off the scene's start: {', '.join(off)}[/]")
+        facts.add_row(
+            "start", f"[yellow]the joints of the first sample differ from the scene's start by {', '.join(off)}[/]"
+        )
     for push in result.pushes:
         pair = f"{escape(push.link)} pushed {escape(push.obstacle)}"
         facts.add_row("push", f"{pair} up to {1e3 * push.depth_m:.2f} of {1e3 * push.yields_m:.2f} mm deep")

@@ -47,11 +47,11 @@ class FinishedJob:
             or not isinstance(certificate.get("digests"), dict)
             or not all(type(certificate.get(key)) in (int, float) for key in numbers)
         ):
-            reason = f"it is no report of a plan with digests; {folder / TRAJECTORY} can be given by itself"
+            reason = f"it is not the report of a plan with digests; {folder / TRAJECTORY} can be given by itself"
             raise self._fault(reason)
         files = report.get("files", [TRAJECTORY])
         if not isinstance(files, list) or not all(isinstance(name, str) for name in files):
-            raise self._fault("files: expected names")
+            raise self._fault("files: expected a list of file names")
         self.report = report
         self.trajectory_paths = [folder / name for name in files]
 
@@ -73,7 +73,7 @@ class FinishedJob:
             return str(self.path.parent / SCENE)
         if name in shipped_scenes():
             return str(name)
-        raise self._fault(f"it is about the scene {name!r}, which does not ship with hplan: give its file")
+        raise self._fault(f"its scene {name!r} does not ship with hplan: give the scene file")
 
     @property
     def robot(self) -> str:
@@ -84,7 +84,7 @@ class FinishedJob:
         """
         name = self.report.get("robot")
         if name not in robot_names():
-            raise self._fault(f"it is about the robot {name!r}, which has no name in hplan: give its URDF by --robot")
+            raise self._fault(f"its robot {name!r} does not ship with hplan: give the URDF with --robot")
         return str(name)
 
     def trajectory(self) -> Trajectory:
@@ -120,7 +120,7 @@ class FinishedJob:
                 if phases[-1].name == "drop":
                     dropped |= {name: phases[-1].end_s for name in picked if name not in dropped}
         except (AttributeError, IndexError, KeyError, TypeError) as error:
-            raise self._fault("it does not say what happens when in the motion") from error
+            raise self._fault("the phases of its motion are missing or malformed") from error
         return Playback(trajectory, picked, dropped, phases, certificate, curve)
 
     def certificate(self) -> Certificate:
@@ -145,7 +145,7 @@ class FinishedJob:
                 uncovered_links=tuple(map(str, saved.get("uncovered_links", ()))),
             )
         except (AttributeError, KeyError, TypeError, ValueError) as error:
-            raise self._fault("its certificate is not complete") from error
+            raise self._fault("its certificate is incomplete") from error
 
     def contacts(self, scene: Scene) -> tuple[FruitContact, ...]:
         """Time windows in which the last link may touch fruits.
@@ -164,7 +164,7 @@ class FinishedJob:
                 for told in self.report["certificate"].get("contacts", ())
             )
         except (KeyError, TypeError, ValueError) as error:
-            raise self._fault("its contacts are no times with fruits of the scene") from error
+            raise self._fault("its contacts are not time intervals with fruits of the scene") from error
 
     def clearance_curve(self) -> ClearanceCurve | None:
         """Clearance over time from the report; None if the report lacks it.

@@ -106,7 +106,7 @@ class JobFolder:
         """
         for path in inputs():
             if path.parent == self.path.resolve() and any(path.match(pattern) for pattern in self._files):
-                raise OptionError("--out", str(self.path), f"another folder than that of {path}, which is read")
+                raise OptionError("--out", str(self.path), f"a folder other than that of {path}, which is an input")
         self._is_settled = False
         self._check_own()
         prepare_folder(self.path)
@@ -203,11 +203,7 @@ class JobFolder:
         self._others = frozenset(file.name for file in found if not is_own(file))
 
     def _check_replaced(self, name: str) -> None:
-        """Refuse to replace a file that is not hplan's now, or was not when the job began.
-
-        Raises:
-            OutputError: It is one.
-        """
+        """Refuse to replace a file that is, or was when the job began, not hplan's."""
         check_own(self.path / name, force=self._force)
         if name in self._others and not self._force:
             raise OutputError(self.path / name, NOT_OURS)
@@ -301,9 +297,9 @@ def read_report(path: Path, *, is_input: bool = True) -> dict[str, Any]:
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise fault(f"it is no JSON: {error}") from error
+        raise fault(f"it is not valid JSON: {error}") from error
     if not isinstance(content, dict):
-        raise fault("it is no mapping of keys")
+        raise fault("it is not a mapping of keys")
     return content
 
 

@@ -12,15 +12,16 @@ from hplan.base.interrupts import INTERRUPTS, handling_signals, leave, signal_of
 COMMANDS = {
     "plan": "plan one motion; write trajectory.csv, report.json and scene.html",
     "tour": "plan a picking tour through the fruits of a scene",
-    "row": "choose stops along a row of trees, and plan a tour at each",
-    "study": "measure many arms before many trees, on all processors",
+    "row": "choose stops along a row of trees and plan a tour at each",
+    "batch": "plan one motion for each of many scene files",
+    "study": "evaluate many arms at many trees, on all processors",
     "time": "time a motion through waypoints, for any robot",
     "certify": "prove that a trajectory keeps clearance and limits",
     "execute": "run a trajectory on a simulated arm",
-    "orchard": "make a scene: a row of fruit trees",
-    "view": "show what a job left in its folder, or a trajectory",
-    "warmup": "compile whatever hplan may call, at once",
-    "completion": "print a script that completes these words: hplan completion bash",
+    "orchard": "generate a scene with a row of fruit trees",
+    "view": "show the motion of an output folder, or a trajectory",
+    "warmup": "compile all numerical kernels now",
+    "completion": "print a shell completion script: hplan completion bash",
 }
 
 _USAGE = "hplan COMMAND [options]\n       hplan [SCENE] [options]    short for hplan plan"
@@ -70,13 +71,13 @@ def _run_words(words: list[str]) -> int:
     if words[:1] in (["-h"], ["--help"]):
         width = max(map(len, COMMANDS))
         lines = [f"  {name:{width}}  {line}" for name, line in COMMANDS.items()]
-        epilog = "\n".join(["commands:", *lines, "", "hplan COMMAND --help says more of each."])
+        epilog = "\n".join(["commands:", *lines, "", "hplan COMMAND --help describes the options of a command."])
         command_parser(__doc__, epilog, prog="hplan", usage=_USAGE).parse_args(words[:1])
     if words and words[0] in COMMANDS:
         return _run_named(words[0], f"hplan {words[0]}", words[1:])
     if words and (near := _near_command(words[0])):
         command_parser(__doc__, "", prog="hplan", usage=_USAGE).error(
-            f"{words[0]!r} is no command and no scene; did you mean {near!r}?"
+            f"{words[0]!r} is neither a command nor a scene; did you mean {near!r}?"
         )
     return _run_named("plan", "hplan", words)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import math
 import re
 import textwrap
@@ -29,6 +30,21 @@ if TYPE_CHECKING:
 OUT = Path("out")
 
 
+class _Parser(argparse.ArgumentParser):
+    """Parser whose error about an unknown option names the one with the most similar spelling."""
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse the arguments, and refuse unknown ones."""
+        found, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            known = [name for action in self._actions for name in action.option_strings]
+            words = [word.partition("=")[0] for word in unknown if word.startswith("-")]
+            near = {word: difflib.get_close_matches(word, known, 1) for word in words}
+            hints = [f"did you mean {names[0]} for {word}?" for word, names in near.items() if names]
+            self.error("; ".join([f"unrecognized arguments: {' '.join(unknown)}", *hints]))
+        return found
+
+
 def command_parser(
     description: str | None, epilog: str, *, prog: str | None = None, usage: str | None = None
 ) -> argparse.ArgumentParser:
@@ -40,7 +56,7 @@ def command_parser(
         prog: Program name; None for the script's name. Programs whose name begins with `hplan` have `--version`.
         usage: Usage line; None for the generated one.
     """
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog=prog,
         usage=usage,
         description=textwrap.fill(" ".join((description or "").split()), 79),
@@ -57,55 +73,58 @@ OF_PLANS = ("method", "step_deg", "objective", "effort", "link_model", "sigmas",
 
 #: Options shared by several commands: group, name, help text and other arguments of `add_argument`.
 _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
-    ("scene", "scene", "scene file, or name of a shipped scene (default: {scene})", {"nargs": "?"}),
-    ("out", "--out", "folder to write into (default: out)", {"type": Path, "default": OUT, "metavar": "DIR"}),
-    ("force", "--force", "replace files that hplan did not write, too", {"action": "store_true"}),
-    ("robot", "--robot", "robot, or name of one: a shipped one, panda, ur5 ... (default: the scene's, else harvester)",
+    ("scene", "scene", "scene file or name of a shipped scene (default: {scene})", {"nargs": "?"}),
+    ("out", "--out", "output folder (default: out)", {"type": Path, "default": OUT, "metavar": "DIR"}),
+    ("force", "--force", "also replace files that hplan did not write", {"action": "store_true"}),
+    ("robot", "--robot", "URDF file or name of a robot, such as panda or ur5 (default: the scene's robot, else "
+        "harvester)",
         {"type": Path, "metavar": "URDF"}),
-    ("robot", "--limits", "acceleration limits, or name of a robot whose ship, as ur5 (default: NAME.limits.yaml in "
-        "the URDF's folder)", {"type": Path, "metavar": "YAML"}),
-    ("parts", "--hold", "where joints that do not move stand",
+    ("robot", "--limits", "file of acceleration limits, or name of a robot whose limits ship with hplan (default: "
+        "NAME.limits.yaml next to the URDF)", {"type": Path, "metavar": "YAML"}),
+    ("parts", "--hold", "positions of locked joints, in radians or, for prismatic joints, metres",
         {"nargs": "+", "action": "extend", "default": [], "metavar": "NAME=RAD"}),
     ("parts", "--tool-frame", "frame at the end of the arm (default: tool0, or the named robot's)",
         {"metavar": "NAME"}),
-    ("parts", "--srdf", "which links may touch, for robots beyond the planar family",
+    ("parts", "--srdf", "SRDF file with the pairs of links that may touch, for general (non-planar) arms",
         {"type": Path, "metavar": "FILE"}),
-    ("parts", "--allow-neighbours", "links with one joint between them may touch", {"action": "store_true"}),
+    ("parts", "--allow-neighbours", "let links touch that have one joint between them", {"action": "store_true"}),
     ("parts", "--package-dir", "where packages and meshes are looked for first",
         {"action": "append", "type": Path, "default": [], "metavar": "DIR"}),
-    ("parts", "--xacro", "arguments of a xacro file",
+    ("parts", "--xacro", "arguments of a xacro file as names and values",
         {"nargs": "+", "action": "extend", "default": [], "metavar": "NAME:=VALUE"}),
-    ("parts", "--collision-from-visual", "build collision shapes from the visuals of these links; without names, of "
-        "all drawn links whose shapes are missing or of another size", {"nargs": "*", "metavar": "LINK"}),
-    ("contacts", "--drop-inside", "leave out obstacles and fruits that stand in pedestal or turret, and say which; "
-        "they are in no proof", {"action": "store_true"}),
-    ("contacts", "--yield-links", "links that may push what gives way (default: the scene's, else those of the last "
-        "two joints)", {"nargs": "+", "metavar": "LINK"}),
-    ("pace", "--rate", "rows per second in the CSV (default: 250)",
+    ("parts", "--collision-from-visual", "build collision shapes from the visual meshes of these links (without "
+        "names: of all drawn links whose shapes are missing or differ in size)", {"nargs": "*", "metavar": "LINK"}),
+    ("contacts", "--drop-inside", "remove and list the obstacles and fruits inside the pedestal or turret; the "
+        "certificate does not cover them", {"action": "store_true"}),
+    ("contacts", "--yield-links", "links that may push compliant obstacles (default: the scene's, else the links of "
+        "the last two joints)", {"nargs": "+", "metavar": "LINK"}),
+    ("pace", "--rate", "samples per second in the CSV (default: 250)",
         {"dest": "rate_hz", "type": float, "default": 250.0, "metavar": "HZ"}),
     ("pace", "--speed", "fraction of full speed, in (0, 1] (default: 1)",
         {"type": float, "default": 1.0, "metavar": "FRACTION"}),
-    ("effort", "--effort", "what to spend on a faster motion; quick: that near the first path (default: default)",
+    ("effort", "--effort", "computing effort for a faster motion; quick stays near the first path (default: default)",
         {"choices": ("quick", "default", "best"), "default": "default"}),
-    ("seed", "--seed", "of the samples by which trees grow; another may lead to another motion (default: 0)",
+    ("seed", "--seed", "random seed of the sampling-based planner (default: 0)",
         {"type": int, "default": 0, "metavar": "N"}),
-    ("sigmas", "--sigmas", "an uncertain obstacle grows by K sigma (default: 3, which leaves 2.9 %% of its places)",
+    ("sigmas", "--sigmas", "standard deviations by which uncertain obstacles grow (default: 3, which leaves 2.9 %% of "
+        "the positions of one obstacle uncovered)",
         {"type": float, "default": 3.0, "metavar": "K"}),
-    ("risk", "--risk", "largest probability that the motion touches anything, in place of --sigmas: obstacles "
-        "grow by what it takes", {"type": float, "metavar": "P"}),
-    ("capture", "--capture", "how far the middle of a fruit may be off for the gripper to take it, across its approach "
-        "and along it: grasps are those that catch it most likely",
+    ("risk", "--risk", "maximum probability of any contact, in place of --sigmas; it is allocated among the "
+        "obstacles", {"type": float, "metavar": "P"}),
+    ("capture", "--capture", "capture range of the gripper in metres, across its approach and along it; grasps that "
+        "catch the fruit with the highest probability come first",
         {"dest": "capture_m", "nargs": 2, "type": float, "metavar": ("M", "M")}),
-    ("tracking", "--tracking-error", "deviation of each joint that is allowed for",
+    ("tracking", "--tracking-error", "tracking error of each joint in degrees (default: 0)",
         {"type": float, "default": 0.0, "metavar": "DEG"}),
-    ("tracking", "--tracking-error-m", "that of each that slides; one number is covered, the larger of both in radians "
-        "and metres", {"type": float, "default": 0.0, "metavar": "M"}),
-    ("tracking", "--tracking-delay", "the same, for each unit of joint velocity",
+    ("tracking", "--tracking-error-m", "tracking error of each prismatic joint in metres (default: 0); the certificate "
+        "covers the larger of both numbers, in radians and metres, for all joints",
+        {"type": float, "default": 0.0, "metavar": "M"}),
+    ("tracking", "--tracking-delay", "tracking error per unit of joint velocity in milliseconds (default: 0)",
         {"type": float, "default": 0.0, "metavar": "MS"}),
-    ("deadline", "--deadline", "time that planning may take, without what is loaded before",
+    ("deadline", "--deadline", "time limit of planning in milliseconds, without the time for loading (default: none)",
         {"dest": "deadline_ms", "type": float, "metavar": "MS"}),
-    ("mcap", "--mcap", "write motion.mcap too, for Foxglove and RViz (needs the extra ros)", {"action": "store_true"}),
-    ("quiet", "--quiet", "no progress, no summary", {"action": "store_true"}),
+    ("mcap", "--mcap", "also write motion.mcap for Foxglove and RViz (needs the extra ros)", {"action": "store_true"}),
+    ("quiet", "--quiet", "print no progress and no summary", {"action": "store_true"}),
 )  # fmt: skip
 
 
@@ -168,8 +187,8 @@ def scene_among(
     smaller, names = without_inside(robot, scene)
     if not names:
         return smaller, {}
-    goal = "" if smaller.goal == scene.goal else f"; the goal is {smaller.goal.fruit} instead"
-    told = f"left out, standing in pedestal or turret: {', '.join(names)}{goal}"
+    goal = "" if smaller.goal == scene.goal else f"; the goal is now {smaller.goal.fruit}"
+    told = f"removed, inside the pedestal or turret: {', '.join(names)}{goal}"
     errors.print(told, markup=False, soft_wrap=True)
     return smaller, {"left_out": list(names)}
 
@@ -188,7 +207,7 @@ def held_joints(arguments: argparse.Namespace) -> dict[str, float]:
         except ValueError:
             held[name] = math.nan
         if not (name and math.isfinite(held[name])):
-            raise OptionError("--hold", text, "NAME=RAD, a joint and its position")
+            raise OptionError("--hold", text, "NAME=RAD, the name of a joint and its position")
     return held
 
 
@@ -268,10 +287,22 @@ def check_tracking(arguments: argparse.Namespace, robot: Robot) -> None:
     """
     degrees, metres = getattr(arguments, "tracking_error", None), getattr(arguments, "tracking_error_m", None)
     if metres and not any(robot.slides):
-        raise OptionError("--tracking-error-m", metres, "0: no joint of the robot slides")
+        raise OptionError("--tracking-error-m", metres, "0: the robot has no prismatic joint")
     for option, value, other, kind, words in (
-        ("--tracking-error-m", metres, degrees, True, "a length in metres: joint {!r} slides, and degrees are none"),
-        ("--tracking-error", degrees, metres, False, "an angle in degrees: joint {!r} turns, and metres are none"),
+        (
+            "--tracking-error-m",
+            metres,
+            degrees,
+            True,
+            "a length in metres: joint {!r} is prismatic, and degrees are not a length",
+        ),
+        (
+            "--tracking-error",
+            degrees,
+            metres,
+            False,
+            "an angle in degrees: joint {!r} is revolute, and metres are not an angle",
+        ),
     ):
         if other and not value and kind in robot.slides:
             raise OptionError(option, value, words.format(robot.joint_names[robot.slides.index(kind)]))
@@ -311,7 +342,7 @@ def check_output_file(out: Path, option: str = "--out", *, force: bool) -> None:
         OutputError: Its folder does not exist, or hplan did not write the existing file.
     """
     if out.resolve() in inputs():
-        raise OptionError(option, str(out), "another file than those that are read")
+        raise OptionError(option, str(out), "a file other than the inputs")
     if not is_folder(out.resolve().parent):
         raise OutputError(out, "its folder does not exist")
     check_own(out, force=force)

@@ -21,10 +21,11 @@ if TYPE_CHECKING:
     from hplan.scene.orchard import FruitZone
 
 _EPILOG = """\
-TREE.csv: a header, then a line for each straight piece of wood, in metres, z
-up, the trunk's base at the origin: kind,x1,y1,z1,x2,y2,z2,radius. Pieces are
-called by their kind (trunk, branch) and number. Rows of the kind fruit, with
-their centre twice, are fruit; on trees that have none it hangs at branch tips.
+TREE.csv: a header, then one line for each straight segment of wood, in metres,
+z up, with the trunk's base at the origin: kind,x1,y1,z1,x2,y2,z2,radius.
+Segments are named by their kind (trunk, branch) and number. Lines of the kind
+fruit, with the centre given twice, are fruits; trees without any get fruits at
+their branch tips.
 
 exit status:
   0  done
@@ -44,44 +45,87 @@ def parser(prog: str) -> argparse.ArgumentParser:
     """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EPILOG, prog=prog)
     source = parser.add_mutually_exclusive_group()
-    source.add_argument("--import", nargs="+", type=Path, metavar="TREE.csv", dest="files", help="measured trees")
     source.add_argument(
-        "--shipped", metavar="NAME", help="a scene that ships with hplan, made anew; nothing else to say"
+        "--import", nargs="+", type=Path, metavar="TREE.csv", dest="files", help="CSV files of measured trees"
+    )
+    source.add_argument(
+        "--shipped",
+        metavar="NAME",
+        help="scene that ships with hplan, to generate again; only --start, --out, --force and --quiet apply",
     )
     add = parser.add_argument
-    add("--out", type=Path, default=Path("orchard.yaml"), metavar="FILE", help="file to write (default: orchard.yaml)")
+    add(
+        "--out",
+        type=Path,
+        default=Path("orchard.yaml"),
+        metavar="FILE",
+        help="scene file to write (default: orchard.yaml)",
+    )
     add_shared(parser, "force")
     add("--name", help="name of the scene (default: the file's)")
     add("--robot", metavar="NAME", help="shipped robot that the scene is for (default: harvester)")
-    add("--seed", type=int, metavar="N", help="what is left to chance follows from it (default: 0)")
-    add("--distance", type=float, metavar="M", help="from the base's axis to the row (default: 1.4)")
-    add("--spacing", type=float, metavar="M", help="from tree to tree (default: 1.1)")
-    add("--clearance", type=float, metavar="M", help="distance that a motion keeps (default: 0)")
-    add("--fruits", type=int, metavar="N", help="fruits in all (default: 24; on measured trees their own, or 20)")
-    add("--fruit-radius", type=float, metavar="M", help="default: 0.04")
-    add("--fruit-heights", type=float, nargs=2, metavar=("LOW", "HIGH"), help="heights of the fruit [m]")
-    add("--fruit-reach", type=float, metavar="M", help="greatest distance of a fruit from the base's axis")
-    yields = "how deep the arm's last links may push"
-    add("--yield", dest="wood_yields", type=float, metavar="M", help=f"{yields} thin wood (default: 0)")
-    add("--yield-below", dest="yields_below", type=float, metavar="M", help="radius of thin wood (default: 0.008)")
-    add("--yield-fruit", dest="fruit_yields", type=float, metavar="M", help=f"{yields} fruit (default: 0)")
-    hangs = "fruit hangs from the wood so near to it, which gives way as it is picked (default: unknown)"
+    add("--seed", type=int, metavar="N", help="random seed (default: 0)")
+    add("--distance", type=float, metavar="M", help="distance from the base's axis to the row in metres (default: 1.4)")
+    add("--spacing", type=float, metavar="M", help="distance between trees in metres (default: 1.1)")
+    add("--clearance", type=float, metavar="M", help="minimum clearance of motions in metres (default: 0)")
+    add(
+        "--fruits",
+        type=int,
+        metavar="N",
+        help="number of fruits (default: 24; for measured trees those of the files, or 20)",
+    )
+    add("--fruit-radius", type=float, metavar="M", help="radius of the fruits in metres (default: 0.04)")
+    add(
+        "--fruit-heights",
+        type=float,
+        nargs=2,
+        metavar=("LOW", "HIGH"),
+        help="minimum and maximum height of the fruits in metres (default: the robot's range)",
+    )
+    add(
+        "--fruit-reach",
+        type=float,
+        metavar="M",
+        help="maximum distance of a fruit from the base's axis in metres (default: the robot's range)",
+    )
+    yields = "maximum depth to which the arm's last links may push"
+    add("--yield", dest="wood_yields", type=float, metavar="M", help=f"{yields} thin wood, in metres (default: 0)")
+    add(
+        "--yield-below",
+        dest="yields_below",
+        type=float,
+        metavar="M",
+        help="radius below which wood is thin, in metres (default: 0.008)",
+    )
+    add("--yield-fruit", dest="fruit_yields", type=float, metavar="M", help=f"{yields} a fruit, in metres (default: 0)")
+    hangs = "distance within which a fruit hangs from the wood, which may deflect during the picking (default: unknown)"
     add("--hangs-within", type=float, metavar="M", help=hangs)
-    add("--goal", metavar="NAME", help="fruit to reach for (default: the first)")
-    add("--start", type=float, nargs="+", metavar="DEG", help="joints at the start (default: the harvester, tucked)")
-    add("--quiet", action="store_true", help="no summary")
+    add("--goal", metavar="NAME", help="fruit that is the goal (default: the first)")
+    add(
+        "--start",
+        type=float,
+        nargs="+",
+        metavar="DEG",
+        help="joint positions at the start in degrees (default: the tucked harvester)",
+    )
+    add("--quiet", action="store_true", help="print no summary")
     grown = parser.add_argument_group("grown trees").add_argument
-    grown("--form", choices=("spindle", "trellis"), help="how they are trained (default: spindle)")
-    grown("--trees", type=int, metavar="N", help="default: 3")
-    grown("--tree-height", type=float, metavar="M", help="default: 2.7")
-    grown("--branches", type=int, metavar="N", help="branches of each tree (default: 18)")
-    grown("--branch-length", type=float, metavar="M", help="the longest (default: 0.6)")
-    grown("--shoots", type=int, metavar="N", help="side shoots of each branch (default: 2)")
-    grown("--vehicle", action="store_true", default=None, help="a vehicle's body behind the arm")
-    grown("--ground", action="store_true", default=None, help="the ground")
+    grown("--form", choices=("spindle", "trellis"), help="training form of the trees (default: spindle)")
+    grown("--trees", type=int, metavar="N", help="number of trees (default: 3)")
+    grown("--tree-height", type=float, metavar="M", help="height of the trees in metres (default: 2.7)")
+    grown("--branches", type=int, metavar="N", help="number of branches of each tree (default: 18)")
+    grown("--branch-length", type=float, metavar="M", help="maximum length of a branch in metres (default: 0.6)")
+    grown("--shoots", type=int, metavar="N", help="number of side shoots of each branch (default: 2)")
+    grown("--vehicle", action="store_true", default=None, help="add the body of a vehicle behind the arm")
+    grown("--ground", action="store_true", default=None, help="add the ground")
     measured = parser.add_argument_group("measured trees").add_argument
-    measured("--height", type=float, metavar="M", help="of the trees' feet above the base's (default: 0)")
-    measured("--turn", type=float, metavar="DEG", help="turn of every tree about its trunk (default: 0)")
+    measured(
+        "--height",
+        type=float,
+        metavar="M",
+        help="height of the trees' feet above the robot's base in metres (default: 0)",
+    )
+    measured("--turn", type=float, metavar="DEG", help="rotation of every tree about its trunk in degrees (default: 0)")
     return parser
 
 
@@ -99,11 +143,7 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
 
 
 def _made(arguments: argparse.Namespace, console: Console) -> Scene:
-    """Generate the scene of the arguments.
-
-    Raises:
-        OptionError: An unknown shipped scene, or options that have no effect together.
-    """
+    """Generate the scene of the arguments."""
     from hplan.scene.orchard import SHIPPED, FruitZone, MeasuredOptions, OrchardOptions, generate, measured_orchard
     from hplan.scene.orchard.options import REACHED
 
@@ -112,17 +152,17 @@ def _made(arguments: argparse.Namespace, console: Console) -> Scene:
         if arguments.shipped not in SHIPPED:
             raise OptionError("--shipped", arguments.shipped, f"one of {', '.join(SHIPPED)}")
         others = ("name", *_COMMON, "fruit_heights", "fruit_reach", *_GROWN, *_MEASURED)
-        refuse(arguments, others, "nothing together with --shipped")
+        refuse(arguments, others, "no value together with --shipped")
         return generate(SHIPPED[arguments.shipped], **start)
     wanted = {option: getattr(arguments, option) for option in _COMMON}
     wanted["name"] = arguments.out.stem if arguments.name is None else arguments.name
     if arguments.files:
-        refuse(arguments, _GROWN, "nothing together with --import")
+        refuse(arguments, _GROWN, "no value together with --import")
         wanted |= {"yaw_deg": arguments.turn, "height": arguments.height}
         if arguments.fruit_heights is not None or arguments.fruit_reach is not None:
             wanted["fruit_zone"] = _zone(arguments, FruitZone())
         return _beside_base(measured_orchard(arguments.files, MeasuredOptions(**_given(wanted)), **start), console)
-    refuse(arguments, _MEASURED, "measured trees, by --import")
+    refuse(arguments, _MEASURED, "no value without --import, as it is for measured trees")
     wanted |= {option: getattr(arguments, option) for option in _GROWN}
     wanted["fruit_zone"] = _zone(arguments, REACHED.get(arguments.robot, OrchardOptions.fruit_zone))
     return generate(OrchardOptions(**_given(wanted)), **start)
@@ -137,7 +177,7 @@ def _beside_base(scene: Scene, console: Console) -> Scene:
     fruit_alone, names = without_inside(robot, scene.copy_unchecked({"obstacles": ()}))
     if not names:
         return scene
-    console.print(f"left out, hanging in pedestal or turret: {', '.join(names)}", markup=False, soft_wrap=True)
+    console.print(f"removed, inside the pedestal or turret: {', '.join(names)}", markup=False, soft_wrap=True)
     return scene.copy_unchecked({"fruits": fruit_alone.fruits, "goal": fruit_alone.goal})
 
 

@@ -30,7 +30,7 @@ WRITTEN: Final = "written"
 _MOST_BYTES: Final = 256_000_000
 
 #: Reason in the error about a file that is not replaced.
-NOT_OURS: Final = "hplan did not write it, or it was changed since; name another place, or replace it by --force"
+NOT_OURS: Final = "hplan did not write it, or it was changed since; choose another file, or replace it with --force"
 
 
 def check_own(path: Path, *, force: bool) -> None:

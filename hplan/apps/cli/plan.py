@@ -1,4 +1,4 @@
-"""Plan a collision-free motion of a harvesting arm, time it, certify it, and write it for the controller.
+"""Plan a certified motion of a harvesting arm for the controller.
 
 Writes trajectory.csv, report.json and an animated scene.html.
 """
@@ -57,10 +57,10 @@ _EXIT_STATUS = """\
 exit status:
   0  done
   2  bad input
-  3  no path exists (shown on the grid)
+  3  no path exists (proved), or the goal is unreachable
   4  the motion cannot be timed
   5  the motion is not certified
-  6  no motion was found, or none in time; that there is none was not shown
+  6  no motion found (search inconclusive or timed out)
 
 hplan --help lists the other commands.
 """
@@ -70,13 +70,13 @@ KERNELS = 124
 
 STAGE_WORDS = {
     "grasps": "finding grasps",
-    "trees": "looking for a quick path",
+    "trees": "growing trees for a first path",
     "cspace": "computing the C-space",
     "search": "searching slices and sparse graph",
     "postprocess": "smoothing the path",
     "timing": "timing the motion",
-    "certificate": "proving clearance and limits",
-    "bound": "bounding the duration from below",
+    "certificate": "certifying clearance and limits",
+    "bound": "computing a lower bound of the duration",
     "export": "writing files",
 }
 
@@ -104,36 +104,46 @@ def parser(prog: str) -> argparse.ArgumentParser:
     parser = command_parser(__doc__, _EXIT_STATUS, prog=prog)
     add = parser.add_argument
     add_shared(parser, "scene", "out", "force", "robot", "parts", "contacts")
-    add("--method", choices=("two-level", "dense"), default="two-level", help="search (default: two-level)")
-    add(
-        "--objective", choices=("duration", "length"), default="duration", help="what to make small (default: duration)"
-    )
+    add("--method", choices=("two-level", "dense"), default="two-level", help="grid search (default: two-level)")
+    add("--objective", choices=("duration", "length"), default="duration", help="cost to minimize (default: duration)")
     add_shared(parser, "effort", "seed")
-    add("--link-model", choices=("capsule", "paper", "rectangle"), default="capsule", help="default: capsule")
     add(
-        "--step", dest="step_deg", type=float, default=1.0, metavar="DEG", help="spacing of the joint grid (default: 1)"
+        "--link-model",
+        choices=("capsule", "paper", "rectangle"),
+        default="capsule",
+        help="shape of the links in the grid search (default: capsule)",
+    )
+    add(
+        "--step",
+        dest="step_deg",
+        type=float,
+        default=1.0,
+        metavar="DEG",
+        help="spacing of the joint grid in degrees (default: 1)",
     )
     add_shared(parser, "pace", "tracking", "sigmas", "risk", "capture")
     add(
         "--standoff",
         type=float,
         metavar="M",
-        help="straight approach to a fruit, a point (default: 0.1) or a pose (default: none)",
+        help="length of the straight approach in metres (default: 0.1 to a fruit or a point, none to a pose)",
     )
     add("--uncertified", dest="certify", action="store_false", help="write the motion even if it is not certified; "
-        "the report says so")  # fmt: skip
-    add("--bound", action="store_true", help="also show how much faster any motion could be at most")
+        "the report says whether it is")  # fmt: skip
+    add("--bound", action="store_true", help="also report by how much any motion could be faster at most")
     add_shared(parser, "deadline")
     add("--view", action="store_true", help="serve the animated scene until interrupted")
-    add("--cspace", action="store_true", help="write cspace.html: the forbidden joint angles and the motion; "
-        "cspace.png too where matplotlib is installed")  # fmt: skip
-    add("--cspace-yaw", type=float, metavar="DEG", help="the same for a yaw of choice (default: the goal's)")
+    add("--cspace", action="store_true", help="write cspace.html with the forbidden joint angles and the "
+        "motion, and cspace.png if matplotlib is installed")  # fmt: skip
+    add(
+        "--cspace-yaw", type=float, metavar="DEG", help="write them for this yaw angle in degrees (default: the goal's)"
+    )
     add_shared(parser, "mcap", "quiet")
     return parser
 
 
 def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> tuple[PlanResult, list[str]]:
-    """Load, plan and write; return the plan and the names of its files."""
+    """Load, plan and write; return the plan and its file names."""
     with progress_line(errors, quiet=arguments.quiet, kernels=KERNELS) as status:
         status("reading robot and scene")
         with loading():
@@ -191,7 +201,7 @@ def _planned(robot: Robot, scene: Scene, options: PlanOptions, progress: Callabl
 
 
 def _write_cspace(page: str, draw: Callable[[], Any], folder: Path, errors: Console) -> list[str]:
-    """Write page and figure of the C-space at one yaw; return the file names."""
+    """Write page and figure of the C-space; return the file names."""
     from hplan.base.files import HTML_COMMENT, write_marked
 
     write_marked(folder / CSPACE_PAGE, page, HTML_COMMENT)
@@ -223,7 +233,7 @@ def show_summary(console: Console, result: PlanResult, folder: Path, files: Sequ
     if result.path is None:
         add("search", "none: start and goal are the same")
     elif planner["method"] == "direct":
-        add("search", "none: the straight motion is clear")
+        add("search", "none: the straight motion is collision-free")
     elif planner["method"] == "given":
         given = report["given"]
         moved = len(given["moved_segments"])
@@ -241,7 +251,7 @@ def show_summary(console: Console, result: PlanResult, folder: Path, files: Sequ
         add("expanded", f"{expansions['total']:,} nodes: {stages}")
         add("flooded", f"{expansions['flooded_cells']:,} nodes")
         add("path", f"{length}, from {grid} on the grid")
-    rows = "1 row" if motion["samples"] == 1 else f"{motion['samples']:,} rows at {motion['rate_hz']:g} Hz"
+    rows = "1 sample" if motion["samples"] == 1 else f"{motion['samples']:,} samples at {motion['rate_hz']:g} Hz"
     add("motion", f"[bold]{motion['duration_s']:.3f} s[/], {rows}")
     if len(result.phases) > 1:
         add("", ", ".join(f"{phase.name} {phase.end_s - phase.start_s:.3f} s" for phase in result.phases))
@@ -252,7 +262,7 @@ def show_summary(console: Console, result: PlanResult, folder: Path, files: Sequ
     if "in_time" in report:
         timing = report["in_time"]
         slows = ", slows down" if timing["slows_down"] else ""
-        add("what moves", f"{timing['path']}, waits {timing['waits_s']:.2f} s{slows}")
+        add("obstacles move", f"{timing['path']}, waits {timing['waits_s']:.2f} s{slows}")
     if proof["nearest"] is not None:
         nearest = proof["nearest"]
         pair = f"{escape(nearest['link'])} to {escape(nearest['obstacle'])}"
@@ -270,28 +280,32 @@ def show_summary(console: Console, result: PlanResult, folder: Path, files: Sequ
 
 
 def _bound_words(bound: dict[str, Any] | None, phases: int) -> str:
-    """Phrase for the optimality gap of the motion or its first phases, rounded up.
+    """Phrase for the optimality gap of the motion or its phases.
 
     The gap is relative to the fastest motion that the lower bound does not exclude.
     """
     if bound is None:
-        return "none, as the motion is not certified"
+        return "none, because the motion is not certified"
     gap = math.ceil(1e3 * bound["gap"] - 1e-6) / 10.0
     what = "" if len(bound["phases"]) == phases else f"{' and '.join(bound['phases'])}: "
     words = f"at most {gap:.1f} % from the fastest possible"
-    return f"{words}\n{what}none is shorter than {bound['bound_s']:.3f} s"
+    return f"{words}\n{what}no motion is shorter than {bound['bound_s']:.3f} s"
 
 
 def _approach_words(standoff_m: float) -> str:
-    return f"straight approach of {100 * standoff_m:.1f} cm" if standoff_m > 0.0 else "no straight approach is clear"
+    return (
+        f"straight approach of {100 * standoff_m:.1f} cm"
+        if standoff_m > 0.0
+        else "no straight approach is collision-free"
+    )
 
 
 def _clearance_words(proof: dict[str, Any]) -> str:
     if proof["nearest"] is None:
         return "no obstacles"
     if not proof["verified"]:
-        return f"{1e3 * proof['min_clearance_m']:.2f} mm, where the proof ended"
-    return f"{at_least_mm(proof['min_clearance_m'])} mm or more, shown for all times"
+        return f"{1e3 * proof['min_clearance_m']:.2f} mm, where the proof stopped"
+    return f"{at_least_mm(proof['min_clearance_m'])} mm or more, proved for all times"
 
 
 def _time_words(times: dict[str, float]) -> str:
@@ -304,4 +318,4 @@ def _time_words(times: dict[str, float]) -> str:
         stages.pop(name) for name in ("postprocess", "timing", "certificate", "bound", "export") if name in stages
     ]
     lines = [", ".join(part) for part in (stages.values(), motion) if part]
-    return "\n".join([f"[bold]{times['total']:,.0f} ms[/], loading of compiled code included", *lines])
+    return "\n".join([f"[bold]{times['total']:,.0f} ms[/], including the loading of compiled code", *lines])

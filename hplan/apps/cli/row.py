@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from hplan.tour.row import RowResult
 
 _EPILOG = """\
-The scene shows the row, along y, as the base sees it at y = 0 on the first
-side; its line is --distance ahead. Positions of stops are along y.
+The scene shows the row as seen from the base at y = 0 on the first side. The
+row runs along y, at --distance from the base. Positions of stops are along y.
 
 exit status:
   0  done
   2  bad input
   3  no fruit can be picked from any stop
-  5, 6  as of hplan tour
+  5, 6  as for hplan tour
 """
 
 #: File name of the figure.
@@ -43,21 +43,46 @@ def parser(prog: str) -> argparse.ArgumentParser:
     """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EPILOG, prog=prog)
     add = parser.add_argument
-    add("scene", help="scene file, or name of a shipped scene")
+    add("scene", help="scene file or name of a shipped scene")
     add_shared(parser, "out", "force", "robot", "parts")
-    add("--distance", type=float, default=1.4, metavar="M", help="from the base's axis to the row (default: 1.4)")
+    add(
+        "--distance",
+        type=float,
+        default=1.4,
+        metavar="M",
+        help="distance from the base's axis to the row in metres (default: 1.4)",
+    )
     add("--one-side", action="store_true", help="stop on the first side only (default: on both)")
-    add("--step", type=float, default=0.1, metavar="M", help="spacing of candidate stops (default: 0.1)")
-    add("--heights", type=float, nargs="+", default=[0.0], metavar="M", help="of a lift or mast, above the scene's")
-    add("--objective", choices=("stops", "time"), default="stops", help="what is to be least (default: stops)")
-    add("--share", type=float, default=1.0, metavar="F", help="of the fruit within reach that is to be picked")
-    add("--drive-speed", type=float, default=0.5, metavar="M/S", help="default: 0.5")
-    add("--drive-acceleration", type=float, default=0.5, metavar="M/S2", help="default: 0.5")
-    add("--lift-speed", type=float, default=0.1, metavar="M/S", help="default: 0.1")
-    add("--settling", type=float, default=0.5, metavar="S", help="from standing until the arm moves (default: 0.5)")
-    add("--detaching", type=float, default=1.0, metavar="S", help="what detaching a fruit takes (default: 1)")
-    add("--carried", nargs="+", default=[], metavar="NAME", help="obstacles that stand on the vehicle")
-    add("--workers", type=int, default=1, metavar="N", help="processes that look at candidates (default: 1)")
+    add("--step", type=float, default=0.1, metavar="M", help="spacing of candidate stops in metres (default: 0.1)")
+    add(
+        "--heights",
+        type=float,
+        nargs="+",
+        default=[0.0],
+        metavar="M",
+        help="heights of a lift or mast above the scene's, in metres (default: 0)",
+    )
+    add("--objective", choices=("stops", "time"), default="stops", help="cost to minimize (default: stops)")
+    add("--share", type=float, default=1.0, metavar="F", help="fraction of the reachable fruits to pick (default: 1)")
+    add("--drive-speed", type=float, default=0.5, metavar="M/S", help="driving speed in m/s (default: 0.5)")
+    add(
+        "--drive-acceleration",
+        type=float,
+        default=0.5,
+        metavar="M/S2",
+        help="driving acceleration in m/s2 (default: 0.5)",
+    )
+    add("--lift-speed", type=float, default=0.1, metavar="M/S", help="speed of the lift in m/s (default: 0.1)")
+    add(
+        "--settling",
+        type=float,
+        default=0.5,
+        metavar="S",
+        help="time from standstill until the arm moves, in seconds (default: 0.5)",
+    )
+    add("--detaching", type=float, default=1.0, metavar="S", help="time to detach a fruit in seconds (default: 1)")
+    add("--carried", nargs="+", default=[], metavar="NAME", help="obstacles that the vehicle carries")
+    add("--workers", type=int, default=1, metavar="N", help="number of processes that evaluate candidates (default: 1)")
     add_shared(parser, "effort", "seed", "pace", "tracking", "quiet")
     return parser
 
@@ -143,8 +168,8 @@ def _show(console: Console, result: RowResult, files: str) -> None:
                 f"{at_least_mm(clearance, 1)} mm",
             )
         )
-    headings = "", "side", "along", "height", "fruits", "arrival", "motion", "a fruit", "clearance"
-    of = f"{report['picked']} of {report['fruits']}, of {report['reachable']} that some stop can pick"
+    headings = "", "side", "along", "height", "fruits", "arrival", "motion", "per fruit", "clearance"
+    of = f"{report['picked']} of {report['fruits']}; {report['reachable']} can be picked from some stop"
     facts = [("picked", f"[bold]{percent(report['share_picked'])} %[/]: {of}")]
     if len(report["trees"]) > 1:
         told = ", ".join(f"{name} {one['picked']} of {one['fruits']}" for name, one in report["trees"].items())
@@ -153,8 +178,8 @@ def _show(console: Console, result: RowResult, files: str) -> None:
     with_drive = f"{report['total_s_per_fruit']:.2f} s with driving and detaching"
     facts += [
         ("time", f"{report['total_s']:.1f} s: {parts}"),
-        ("a fruit", f"{report['motion_s_per_fruit']:.2f} s of motion, [bold]{with_drive}[/]"),
-        ("an hour", f"{report['fruit_per_hour']:.0f} fruits"),
+        ("per fruit", f"{report['motion_s_per_fruit']:.2f} s of motion, [bold]{with_drive}[/]"),
+        ("per hour", f"{report['fruit_per_hour']:.0f} fruits"),
         ("certificate", certificate_words(all(stop["verified"] for stop in report["stops"]))),
         ("files", escape(files)),
     ]

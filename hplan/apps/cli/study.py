@@ -42,7 +42,7 @@ yields: [{wood: 0.02, below: 0.008, fruit: 0.02}]
 exit status:
   0  done
   2  bad input
-  6  designs whose worker processes were lost again and again; others are done
+  6  some designs lost their worker processes repeatedly; the others are done
 """
 
 #: Files of a study in addition to its report: the table of designs and the figure.
@@ -53,11 +53,20 @@ def parser(prog: str) -> argparse.ArgumentParser:
     """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EPILOG, prog=prog)
     add = parser.add_argument
-    add("study", type=Path, metavar="STUDY.yaml", help="what to measure")
-    add("--out", type=Path, default=OUT, metavar="DIR", help="folder to write into, and to go on in (default: out)")
+    add("study", type=Path, metavar="STUDY.yaml", help="study file: arms, trees and what to measure")
+    add("--out", type=Path, default=OUT, metavar="DIR", help="output folder; a study in it is resumed (default: out)")
     add_shared(parser, "force")
-    add("--workers", type=int, metavar="N", help="designs measured at once (default: one on each processor)")
-    add("--scheduler", metavar="ADDRESS", help="Dask's, as tcp://host:8786 (needs the extra cluster)")
+    add(
+        "--workers",
+        type=int,
+        metavar="N",
+        help="number of designs evaluated at the same time (default: one per processor)",
+    )
+    add(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="address of a Dask scheduler, such as tcp://host:8786 (needs the extra cluster)",
+    )
     add_shared(parser, "quiet")
     return parser
 
@@ -105,11 +114,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
 
 
 def _executor(address: str | None) -> Pool | None:
-    """Connect to Dask's executor; None without a scheduler address.
-
-    Raises:
-        InputError: Dask is not installed, or the scheduler cannot be reached.
-    """
+    """Connect to Dask's executor; None without a scheduler address."""
     if address is None:
         return None
     with extra("cluster", "--scheduler needs Dask"):
@@ -132,7 +137,7 @@ def _show(console: Console, result: StudyResult, files: str) -> None:
         "yields": lambda one: f"{1e3 * one.wood_yields_m:g}/{1e3 * one.fruit_yields_m:g} mm",
         "reach": lambda one: f"{one.reach_m:.2f} m",
         "picked": lambda one: f"{percent(one.share)} %",
-        "a fruit": lambda one: "" if one.seconds_per_fruit is None else f"{one.seconds_per_fruit:.2f} s",
+        "per fruit": lambda one: "" if one.seconds_per_fruit is None else f"{one.seconds_per_fruit:.2f} s",
         "CPU": lambda one: f"{one.cpu_s:.2f} s",
     }
     ranked = sorted(result.choices, key=lambda choice: (-choice.share, choice.cost))
@@ -144,5 +149,7 @@ def _show(console: Console, result: StudyResult, files: str) -> None:
         where = f"{row.arm}, {row.tree} at {row.distance_m:g} m"
         console.print(f"[yellow]nothing picked[/] {escape(where)}: {escape(row.error)}", soft_wrap=True)
     if len(failed) > 5:
-        console.print(f"[yellow]nothing picked[/] in {len(failed) - 5} more rows: column error")
-    console.print(f"\n[dim]* no other picks as much at as little cost; CPU is of a design\nfiles[/]  {escape(files)}\n")
+        console.print(f"[yellow]nothing picked[/] in {len(failed) - 5} more rows: see the column error")
+    console.print(
+        f"\n[dim]* no other arm picks as much at as low a cost; CPU time per design\nfiles[/]  {escape(files)}\n"
+    )

@@ -202,7 +202,7 @@ def progress_line(console: Console, *, quiet: bool, kernels: int | None = None) 
             status.update(f"compiling: {words}; {stage}"[:_WIDTH])
         elif time.monotonic() - told_s > _EVERY_S:
             told_s = time.monotonic()
-            console.print(f"compiling, as on every first run: {words}")
+            console.print(f"compiling (first run only): {words}")
 
     LISTENERS.append(compiling)
     try:
@@ -285,9 +285,9 @@ def risk_words(risk: dict[str, Any]) -> str:
     Monte Carlo estimate.
     """
     estimate, most = risk["estimate"], risk["shares"][:1]
-    whose = "".join(f"; most of it {share['obstacle']!r}" for share in most)
+    whose = "".join(f"; the largest share is that of {share['obstacle']!r}" for share in most)
     seen = f"{estimate['touching']} of {estimate['draws']:,} draws touch"
-    return f"{risk['bound']:.2g} at most, asked for {risk['asked']:g}{whose}\n{seen}"
+    return f"at most {risk['bound']:.2g}, allowed {risk['asked']:g}{whose}\n{seen}"
 
 
 def certificate_words(verified: bool) -> str:
@@ -302,7 +302,9 @@ def uncovered_rows(names: Collection[str]) -> list[tuple[str, str]]:
     """
     if not names:
         return []
-    return [("not covered", f"[bold yellow]drawn, without a fitting collision shape: {escape(', '.join(names))}[/]")]
+    return [
+        ("not covered", f"[bold yellow]drawn, but without a matching collision shape: {escape(', '.join(names))}[/]")
+    ]
 
 
 def percent(fraction: float) -> str:

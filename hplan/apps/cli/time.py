@@ -49,24 +49,24 @@ _WITH_SCENE = (
 _WITHOUT_SCENE = ("acceleration", "no_torque", "joints")
 
 _EPILOG = """\
-WAYPOINTS.csv: a header, then a line for each waypoint. Columns NAME or, in
-radians, NAME_pos_rad, of prismatic joints NAME_pos_m, in any order; continuous
-joints count on past a whole turn; other columns are ignored.
+WAYPOINTS.csv: a header, then one line for each waypoint. The columns are named
+NAME or NAME_pos_rad (radians), for prismatic joints NAME_pos_m, in any order.
+Continuous joints keep counting past a whole turn. Other columns are ignored.
 
-joints: revolute, prismatic and continuous ones move; by default all but those
-that mimic another or are mimicked. The others are held: at 0, at the limit
-nearest to it, or where --hold says.
+joints: revolute, prismatic and continuous joints move, by default all except
+those coupled by <mimic>. The others are locked at 0, at the limit nearest to 0,
+or at the position given by --hold.
 
---scene: written are trajectory.csv, report.json, scene.html and scene.yaml, the
-scene with the path's ends as start and goal, into the folder --out (default:
-out). Start and goal of the scene do not matter; a fruit is an obstacle.
+--scene: the folder --out (default: out) gets trajectory.csv, report.json,
+scene.html and scene.yaml, the scene with the path's ends as start and goal.
+Start and goal of the given scene are ignored; its fruits are obstacles.
 
 exit status:
   0  done
   2  bad input
   4  the motion cannot be timed
   5  with --scene: the path is in contact, or no motion along it is certified
-  6  with --scene: none was found in time
+  6  with --scene: no motion found in time
 """
 
 
@@ -74,40 +74,49 @@ def parser(prog: str) -> argparse.ArgumentParser:
     """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EPILOG, prog=prog)
     add = parser.add_argument
-    add("urdf", type=Path, metavar="ROBOT", help="a URDF, or the name of a robot (panda, ur5 ...); meshes are "
-        "needed with --scene only")  # fmt: skip
-    add("waypoints", type=Path, metavar="WAYPOINTS.csv", help="the waypoints")
+    add("urdf", type=Path, metavar="ROBOT", help="URDF file or name of a robot, such as panda or ur5; meshes are "
+        "required with --scene only")  # fmt: skip
+    add("waypoints", type=Path, metavar="WAYPOINTS.csv", help="CSV of the waypoints")
     limits = parser.add_mutually_exclusive_group()
     limits.add_argument(
         "--limits",
         type=Path,
         metavar="YAML",
-        help="acceleration limits, or name of a robot whose ship (default: NAME.limits.yaml in the URDF's folder)",
+        help="file of acceleration limits, or name of a robot whose limits ship with hplan "
+        "(default: NAME.limits.yaml next to the URDF)",
     )
-    limits.add_argument("--acceleration", type=float, metavar="RAD_S2", help="one acceleration limit for all joints")
-    add("--no-torque", action="store_true", help="do not limit the torque")
-    add("--joints", nargs="+", metavar="NAME", help="the joints that move")
+    limits.add_argument(
+        "--acceleration", type=float, metavar="RAD_S2", help="acceleration limit of every joint in rad/s2"
+    )
+    add("--no-torque", action="store_true", help="ignore the torque limits")
+    add("--joints", nargs="+", metavar="NAME", help="joints that move (default: all)")
     add(
         "--deviation",
         type=float,
         default=1.0,
         metavar="DEG",
-        help="largest distance from the polyline; of joints that slide 17.5 mm for each degree (default: 1)",
+        help="maximum distance from the polyline in degrees; a degree is 17.5 mm for prismatic joints (default: 1)",
     )
     add_shared(parser, "pace")
-    add("--out", type=Path, metavar="FILE.csv", help="file to write (default: timed.csv); with --scene a folder")
+    add(
+        "--out",
+        type=Path,
+        metavar="FILE.csv",
+        help="output file (default: timed.csv); with --scene the output folder (default: out)",
+    )
     add_shared(parser, "force")
     add("--quiet", action="store_true", help="no summary")
-    add("--scene", metavar="SCENE", help="obstacles: a scene file, or name of a shipped scene")
-    add("--keep-path", action="store_true", help="keep the path's shape within --deviation; else it is shortened")
-    add("--poses", action="store_true", help="with --scene: the lines are poses of the tool in base_link, in columns "
-        "x,y,z [m] and qx,qy,qz,qw, passed from the scene's start on")  # fmt: skip
-    add("--free", action="store_true", help="with --poses: not on straight lines from pose to pose")
+    add("--scene", metavar="SCENE", help="scene file or name of a shipped scene, with the obstacles")
+    add("--keep-path", action="store_true", help="keep the path's shape within --deviation (default: shorten the path)")
+    add("--poses", action="store_true", help="with --scene: the waypoints are tool poses in base_link, in columns "
+        "x,y,z [m] and qx,qy,qz,qw; the motion begins at the scene's start")  # fmt: skip
+    add("--free", action="store_true", help="with --poses: do not require straight lines between poses")
     add(
         "--tilt",
         type=float,
         metavar="DEG",
-        help="with --poses: what of the tool is up at the start stays so within this",
+        help="with --poses: maximum angle between the vertical and the tool axis that points up at the start, in "
+        "degrees (default: no limit)",
     )
     add_shared(parser, "effort", "seed", "sigmas", "parts", "tracking", "deadline")
     return parser
@@ -116,13 +125,13 @@ def parser(prog: str) -> argparse.ArgumentParser:
 def _check_options(arguments: argparse.Namespace) -> None:
     """Refuse options that have no effect with, or without, a scene."""
     if arguments.scene is None:
-        refuse(arguments, _WITH_SCENE, "left out, or --scene")
+        refuse(arguments, _WITH_SCENE, "no value without --scene")
     else:
-        refuse(arguments, _WITHOUT_SCENE, "left out with --scene: limits are the robot's, or of --limits")
+        refuse(arguments, _WITHOUT_SCENE, "no value with --scene: the limits are the robot's or those of --limits")
     if arguments.poses:
-        refuse(arguments, ["keep_path"], "left out with --poses")
+        refuse(arguments, ["keep_path"], "no value with --poses")
     else:
-        refuse(arguments, ["free", "tilt"], "left out, or --poses")
+        refuse(arguments, ["free", "tilt"], "no value without --poses")
 
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
@@ -210,11 +219,7 @@ def _timed(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def _limits(arguments: argparse.Namespace, model: pin.Model, held: Collection[str]) -> Limits:
-    """Limits of the URDF, with acceleration (and jerk) limits from options.
-
-    Raises:
-        OptionError: The acceleration limits are missing or invalid.
-    """
+    """Limits of the URDF, with acceleration (and jerk) limits from options."""
     from hplan.base.data_files import LIMITS_SUFFIX
     from hplan.robot.dynamics import joints_that_slide
     from hplan.robot.files import robot_files
@@ -233,7 +238,7 @@ def _limits(arguments: argparse.Namespace, model: pin.Model, held: Collection[st
         raise OptionError(
             "--acceleration",
             None,
-            f"acceleration limits, which a URDF cannot hold: a number here, or a file by --limits ({path} is missing)",
+            f"acceleration limits, which a URDF cannot contain: a number, or a file with --limits ({path} is missing)",
         )
     acceleration, jerk = read_limits(path, tuple(model.names)[1:], joints_that_slide(model), held)
     return limits_of(model, acceleration, jerk, torque=torque)
@@ -258,13 +263,13 @@ def _show(
     full, paced = limit_shares(trajectory, limits), limit_shares(trajectory, limits.scaled(arguments.speed))
     length = float(np.linalg.norm(np.diff(waypoints, axis=0), axis=1).sum())
     slides = joints_that_slide(model)
-    samples = "1 row: nothing to move" if trajectory.samples == 1 else f"{trajectory.samples:,} rows"
+    samples = "1 sample: no motion" if trajectory.samples == 1 else f"{trajectory.samples:,} samples"
     deviation = joint_length(largest_deviation(trajectory.position, waypoints), slides, ".4f")
     allowed = joint_length(math.radians(arguments.deviation), slides, "g")
     facts = [
-        ("waypoints", f"{len(waypoints):,}, {joint_length(length, slides)} along the lines between them"),
+        ("waypoints", f"{len(waypoints):,}, {joint_length(length, slides)} along the polyline"),
         ("motion", f"[bold]{trajectory.duration:.3f} s[/], {samples} at {arguments.rate_hz:g} Hz"),
-        ("deviation", f"{deviation} from the lines at most, {allowed} allowed"),
+        ("deviation", f"at most {deviation} from the polyline, {allowed} allowed"),
         ("at a limit", f"{100.0 * paced.bound:.1f} % of the time"),
         *(
             ("held", f"{escape(name)} at {'its neutral position' if value is None else f'{value:g} rad'}")
@@ -274,7 +279,7 @@ def _show(
     ]
     columns = {"velocity": full.velocity, "acceleration": full.acceleration, "torque": full.torque, "jerk": full.jerk}
     shown = {name: values for name, values in columns.items() if values is not None}
-    first = "use of limits, %"
+    first = "limits used, %"
     rows = (
         (
             escape(name),
@@ -284,6 +289,6 @@ def _show(
         for joint, name in enumerate(trajectory.joint_names)
     )
     show(console, arguments.waypoints.name, model.name, facts_table(facts))
-    console.print(number_table((first, *shown, "holds the motion back"), rows, texts=(first,)))
+    console.print(number_table((first, *shown, "at a limit"), rows, texts=(first,)))
     torque = "" if full.torque is not None else "; torque is not limited"
-    console.print(f"\nholds the motion back: uses {100.0 * AT_LIMIT:g} % or more of a limit{torque}\n", style="dim")
+    console.print(f"\nat a limit: uses {100.0 * AT_LIMIT:g} % or more of it{torque}\n", style="dim")

@@ -30,19 +30,18 @@ from hplan.errors import OptionError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hplan.tour.result import Leg, TourResult
-    from hplan.tour.tour import TourOptions
+    from hplan.tour.tour import Leg, TourOptions, TourResult
 
 _EPILOG = """\
-Without a drop-off the arm takes fruit into itself; with one it carries fruit
-there: its last link is as thick as the thickest of them on the way, and a
-general (non-planar) arm has a ball of that size at its tool.
-Fruits that others are in the way of come last, once those are picked. What
-cannot be reached is listed with the reason. Times are those of motions; the
-time to grip or to let go comes on top.
+Without a drop-off a picked fruit does not change the arm's shape. On the way to
+a drop-off the last link is as thick as the thickest fruit; a general
+(non-planar) arm carries a ball of that size at its tool.
+Fruits that are blocked by other fruits are picked after those. Unreachable
+fruits are listed with the reason. Times are those of the motions, without
+gripping and releasing.
 
 with --csv each: tour-01-NAME.csv, tour-02-NAME.csv, ..., each from time 0;
-tour-NN-return.csv is the way back.
+tour-NN-return.csv is the motion back to the start.
 
 exit status:
   0  done
@@ -63,27 +62,37 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add_shared(parser, "scene", "out", "force", "robot", "parts", "contacts", scene="tour")
     add = parser.add_argument
     add("--fruits", nargs="+", metavar="NAME", help="fruits to pick (default: all)")
-    add("--drop-off", type=float, nargs=3, metavar=("X", "Y", "Z"), help="drop-off: a place of the tool")
+    add(
+        "--drop-off", type=float, nargs=3, metavar=("X", "Y", "Z"), help="drop-off as a position of the tool, in metres"
+    )
     add(
         "--drop-off-pose",
         type=float,
         nargs=7,
         metavar=("X", "Y", "Z", "QX", "QY", "QZ", "QW"),
-        help="drop-off: a pose of the tool frame",
+        help="drop-off as a pose of the tool frame (metres, quaternion)",
     )
-    add("--drop-off-joints", type=float, nargs="+", metavar="DEG", help="drop-off: joints")
-    add("--every", type=int, metavar="K", help="fruits carried to the drop-off at most (default: 1)")
-    add("--back", action="store_true", help="go back to the start in the end")
-    add("--order", choices=("best", "nearest", "given"), default="best", help="default: best")
-    add("--compare", action="store_true", help="show what the other orders would take")
-    add("--grasps", type=int, default=4, metavar="N", help="grasps of a fruit weighed at a time (default: 4)")
+    add("--drop-off-joints", type=float, nargs="+", metavar="DEG", help="drop-off as joint positions, in degrees")
+    add(
+        "--every", type=int, metavar="K", help="maximum number of fruits carried to the drop-off at a time (default: 1)"
+    )
+    add("--back", action="store_true", help="return to the start at the end")
+    add("--order", choices=("best", "nearest", "given"), default="best", help="order of the fruits (default: best)")
+    add("--compare", action="store_true", help="also report the durations of the other orders")
+    add(
+        "--grasps",
+        type=int,
+        default=4,
+        metavar="N",
+        help="number of grasps per fruit considered at a time (default: 4)",
+    )
     add(
         "--csv",
         choices=("one", "each"),
         default="one",
-        help="one CSV, or one for each fruit, from rest to rest (default: one)",
+        help="one CSV for the tour, or one for each fruit, from rest to rest (default: one)",
     )
-    add("--standoff", type=float, metavar="M", help="length of straight approaches (default: 0.1)")
+    add("--standoff", type=float, metavar="M", help="length of the straight approaches in metres (default: 0.1)")
     add_shared(parser, "capture", "pace", "tracking", "deadline", "seed", "mcap", "quiet")
     return parser
 
@@ -137,18 +146,14 @@ def _made(
 
 
 def _tour_options(arguments: argparse.Namespace) -> TourOptions:
-    """Build the tour options from the arguments.
-
-    Raises:
-        OptionError: Several drop-offs, or one that is not a valid position, pose or configuration.
-    """
+    """Build the tour options from the arguments."""
     from hplan.scene.model import Goal
     from hplan.tour.tour import TourOptions
 
     given = [option for option in _DROP_OFFS if getattr(arguments, option) is not None]
     if len(given) > 1:
         first, second = (f"--{option.replace('_', '-')}" for option in given[:2])
-        raise OptionError(second, getattr(arguments, given[1]), f"none with {first}: a tour has one drop-off")
+        raise OptionError(second, getattr(arguments, given[1]), f"no value with {first}: a tour has one drop-off")
     drop = None
     for option in given:
         keys, values = _DROP_OFFS[option], getattr(arguments, option)
@@ -198,7 +203,7 @@ def _show(console: Console, result: TourResult, folder: Path, files: Sequence[st
                 f"{at_least_mm(clearance)} mm" if clearance < float("inf") else "no obstacles",
             )
         )
-    legs = number_table(("", "fruit", *kinds, "at the fruit", "clearance"), rows, texts=("fruit",))
+    legs = number_table(("", "fruit", *kinds, "picked at", "clearance"), rows, texts=("fruit",))
     show(console, result.report["scene"], result.report["robot"], legs, facts_table(_facts(result, folder, files), 0))
 
 
@@ -213,7 +218,7 @@ def _facts(result: TourResult, folder: Path, files: Sequence[str]) -> Iterator[t
     fruits = len(result.order)
     yield "tour", f"[bold]{result.duration:.3f} s[/], {fruits} fruit{'s' if fruits != 1 else ''}"
     if "expected_fruit" in report:
-        yield "caught", f"{report['expected_fruit']:.1f} of them are to be expected within the gripper's capture range"
+        yield "caught", f"{report['expected_fruit']:.1f} fruits expected within the gripper's capture range"
     totals = {order: seconds for order, seconds in report["totals_s"].items() if order != "fruits"}
     if len(totals) > 1:
         compared = ", ".join(f"{order} {seconds:.2f} s" for order, seconds in totals.items())

@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 
 _EPILOG = """\
 Robot, scene and trajectory are compared with those of the folder's report. If
-they are others nothing is written; the CSV by itself can be shown all the same.
+they differ, nothing is written; the CSV by itself can still be shown.
 
 exit status:
   0  done
   1  the live view does not start
   2  bad input
-  5  the folder's report is about another robot, scene or trajectory
+  5  robot, scene or trajectory differ from the folder's report
 """
 
 
@@ -42,13 +42,13 @@ def parser(prog: str) -> argparse.ArgumentParser:
     """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EPILOG, prog=prog)
     add = parser.add_argument
-    add("motion", type=Path, metavar="FOLDER_OR_CSV", help="the folder of a job, or a trajectory")
+    add("motion", type=Path, metavar="FOLDER_OR_CSV", help="output folder of a plan, tour or row, or a trajectory CSV")
     add_shared(parser, "scene", "robot", "parts", scene="the job's, or the paper's reference scene")
-    add("--out", type=Path, metavar="FILE", help="write the page here and serve nothing (default: scene.html in the "
-        "folder; of a CSV, NAME.html in its folder)")  # fmt: skip
+    add("--out", type=Path, metavar="FILE", help="write the page to this file and do not serve it (default: scene.html "
+        "in the folder; for a CSV NAME.html next to it)")  # fmt: skip
     add_shared(parser, "force")
-    add("--no-serve", action="store_true", help="only write the page")
-    add("--quiet", action="store_true", help="do not name the file that was written")
+    add("--no-serve", action="store_true", help="write the page without serving it")
+    add("--quiet", action="store_true", help="do not print the name of the written file")
     return parser
 
 
@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     if job is not None:
         differs = job.differing(Digests.of(robot, scene, trajectory))
         for what in differs:
-            errors.print(f"the {what} is not the one of {job.path}", markup=False, soft_wrap=True)
+            errors.print(f"the {what} is not that of {job.path}", markup=False, soft_wrap=True)
         if differs:
             return FAILED
         playback = job.playback(trajectory)
@@ -91,7 +91,7 @@ def _view_row(arguments: argparse.Namespace, console: Console) -> int:
 
     folder: Path = arguments.motion
     if arguments.out is not None:
-        raise OptionError("--out", str(arguments.out), f"nothing: the pages of a row stand in its folder, {folder}")
+        raise OptionError("--out", str(arguments.out), f"no value: the pages of a row are in its folder, {folder}")
     try:
         names = [PAGE, *sorted(path.name for path in folder.glob("stop-[0-9]*.html"))]
         most_page_bytes = 64_000_000
@@ -99,7 +99,7 @@ def _view_row(arguments: argparse.Namespace, console: Console) -> int:
     except (OSError, ValueError) as error:
         raise InputError(f"page of {folder}: {getattr(error, 'strerror', None) or error}", path=str(folder)) from error
     if not arguments.quiet:
-        console.print(f"written by the row: {folder / PAGE}", markup=False, soft_wrap=True)
+        console.print(f"written by hplan row: {folder / PAGE}", markup=False, soft_wrap=True)
     if not arguments.no_serve:
         wait_for(console, LiveView(pages.pop(PAGE), pages))
     return 0

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 _EPILOG = """\
 exit status:
   0  done
-  5  part of it failed; its kernels are compiled when they are called
+  5  a job failed; its kernels are compiled when they are first called
 """
 
 
@@ -81,7 +81,7 @@ _COMPILED = "compiled "
 def parser(prog: str) -> argparse.ArgumentParser:
     """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EPILOG, prog=prog)
-    parser.add_argument("--processes", type=int, metavar="N", help="how many at a time (default: one for each core)")
+    parser.add_argument("--processes", type=int, metavar="N", help="number of processes (default: one per core)")
     add_shared(parser, "quiet")
     return parser
 
@@ -93,7 +93,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     """
     processes = len(os.sched_getaffinity(0)) if arguments.processes is None else arguments.processes
     if processes < 1:
-        raise OptionError("processes", processes, "a whole number of at least 1")
+        raise OptionError("processes", processes, "a whole number >= 1")
     begin, count = time.perf_counter(), 0
     with progress_line(errors, quiet=arguments.quiet) as show:
 
@@ -167,11 +167,7 @@ def compile_all(
 
 
 def _do(job: str) -> None:
-    """Run a job in this process and print each kernel it compiles.
-
-    Raises:
-        SystemExit: A command of the job failed.
-    """
+    """Run a job in this process and print each kernel it compiles."""
     from hplan.apps.cli.main import main
 
     LISTENERS.append(lambda kernel, _: print(f"{_COMPILED}{kernel}", file=sys.__stdout__, flush=True))

@@ -150,8 +150,8 @@ def _shapes(mujoco: ModuleType, spec: Any, obstacle: Solid, number: int) -> list
     if isinstance(obstacle, Cloud):
         if len(obstacle.core) > most_balls:
             raise InputError(
-                f"obstacle {obstacle.name!r} has {len(obstacle.core)} balls, too many for MuJoCo; thin its points to "
-                f"at most {most_balls} to execute the motion",
+                f"obstacle {obstacle.name!r} has {len(obstacle.core)} balls, too many for MuJoCo; downsample it to "
+                f"at most {most_balls} points to execute the motion",
                 obstacle=obstacle.name,
                 balls=len(obstacle.core),
             )

@@ -112,7 +112,7 @@ def read_motion(path: Path | str) -> RecordedMotion:
     header = [name.strip() for name in file.header]
     joints, slides = joints_of_columns(header)
     if "time_s" not in header or not joints:
-        names = f"NAME_{TURNING.columns[0]}, where it slides NAME_{SLIDING.columns[0]}"
+        names = f"NAME_{TURNING.columns[0]} or, if prismatic, NAME_{SLIDING.columns[0]}"
         raise file.fault(1, f"expected a header with the columns time_s and, for each joint, {names}")
     twice = sorted({name for name in header if header.count(name) > 1})
     if twice:
@@ -259,7 +259,7 @@ class _Reference:
         if not all(np.isfinite(values).all() for values in (time, position, velocity)):
             raise InputError("motion: it holds a value that is not finite")
         if not (np.diff(time) > 0.0).all():
-            raise InputError(f"motion: time does not increase at row {int(np.argmin(np.diff(time) > 0.0)) + 1}")
+            raise InputError(f"motion: time does not increase at sample {int(np.argmin(np.diff(time) > 0.0)) + 1}")
         bezier = motion.segments[0] if isinstance(motion, Trajectory) else hermite_pieces(time, position, velocity)[0]
         return cls(time - time[0], position[:, order], velocity[:, order], bezier[:, :, order])
 

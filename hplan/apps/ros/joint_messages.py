@@ -67,10 +67,10 @@ def to_joint_trajectory(
         raise OptionError(
             "stamp_s",
             stamp_s,
-            "the time of the first row by the controller's clock, such as the result's begins_s, and not 0, which is "
-            "the time of receipt: the motion takes over from a running one, and a controller that begins it on receipt "
-            "would send the arm back. Of a motion that began at 0, send trajectory.since(row) with the time of that "
-            "row",
+            "the time of the first sample on the controller's clock, such as the result's begins_s, and not 0, the "
+            "time of receipt: the motion takes over from a running one, and a controller that begins it on receipt "
+            "would send the arm back. For a motion that began at 0, send trajectory.since(row) with the time of that "
+            "sample",
         )
     header = _header(frame_id, stamp_ns)
     given = (*_FIELDS_OF[trajectory.interpolation], *(["effort"] if truth("effort", effort) else []))
@@ -79,7 +79,7 @@ def to_joint_trajectory(
     times = [time_ns("time", time) for time in trajectory.time.tolist()]
     for row, (first, second) in enumerate(pairwise(times), start=1):
         if first == second:
-            raise InputError(f"row {row} of the trajectory comes within a nanosecond of the one before it", row=row)
+            raise InputError(f"sample {row} of the trajectory is within a nanosecond of the one before it", row=row)
     rows = zip(*(getattr(trajectory, name).tolist() for name in fields.values()), strict=True)
     return {
         "header": header,
@@ -222,7 +222,7 @@ def _curve_of(given: Set[str], interpolation: Interpolation | None) -> Interpola
         return interpolation
     if "accelerations" in given and "velocities" not in given:
         raise InputError(
-            "points have accelerations but no velocities: joint_trajectory_controller runs no curve of those"
+            "points have accelerations but no velocities: joint_trajectory_controller cannot interpolate them"
         )
     curves: tuple[Interpolation, ...] = ("quintic", "cubic", "linear")
     return next(curve for curve in curves if set(_FIELDS_OF[curve]) <= given | {"positions"})
@@ -286,11 +286,7 @@ def _text(option: str, value: str) -> str:
 
 
 def _list(message: Mapping[str, Any], key: str, kind: Any) -> tuple[Any, ...]:
-    """Return a non-empty list of a message.
-
-    Raises:
-        InputError: The key is missing, or its value is empty or not a list of `kind`.
-    """
+    """Return a non-empty list of a message."""
     if key not in message:
         raise InputError(f"the message has no {key}; expected a JointTrajectory", key=key)
     items = list_of(key, message[key], kind, "names" if kind is str else "points")
@@ -300,11 +296,7 @@ def _list(message: Mapping[str, Any], key: str, kind: Any) -> tuple[Any, ...]:
 
 
 def _order(names: Sequence[str], robot: Robot | None) -> list[int]:
-    """Index in the message of each of the robot's joints.
-
-    Raises:
-        InputError: The joints of the message are not the robot's.
-    """
+    """Index in the message of each of the robot's joints."""
     if robot is None:
         return list(range(len(names)))
     expected = instance("robot", robot, Robot, "load_robot").joint_names
@@ -318,11 +310,7 @@ def _order(names: Sequence[str], robot: Robot | None) -> list[int]:
 
 
 def _array(points: Sequence[Mapping[str, Any]], field: str, joints: int) -> FloatArray:
-    """(points, joints) values of one field.
-
-    Raises:
-        InputError: A point has another number of values, or a value is not a finite number.
-    """
+    """(points, joints) values of one field."""
     rows = []
     for index, point in enumerate(points):
         row = point.get(field, ())

@@ -1,4 +1,7 @@
-"""Markers of a motion and its certificate: tool path, nearest pair, picked fruit, text."""
+"""Markers of a motion and its certificate.
+
+They show the tool path, the nearest pair, picked fruit, and the certificate in words.
+"""
 
 from __future__ import annotations
 
@@ -88,14 +91,16 @@ class NearestPairs:
                 self._solids[solid.name].append(solid if isinstance(solid, Cloud) else solid_shape(solid))
 
     def clearance_m(self, time_s: float) -> float | None:
-        """Certified clearance at a time [m]; None if unknown or without any pair."""
+        """Certified clearance at a time [m]; None if unknown."""
         if self._curve is None:
             return None
         found = float(np.interp(time_s, self._curve.time, self._curve.clearance_m))
         return found if np.isfinite(found) else None
 
     def marker(self, time_s: float, q: FloatArray, moved: Mapping[str, pin.SE3]) -> Marker:
-        """Line marker at a time and configuration; empty for a self-collision pair or no pair.
+        """Line marker of the nearest pair at a time and configuration.
+
+        It is empty for a self-collision pair and without a pair.
 
         Args:
             time_s: Time of the motion [s].

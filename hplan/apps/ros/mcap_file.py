@@ -151,11 +151,7 @@ class _Encoder:
         self._store = store
 
     def message(self, kind: str, content: Mapping[str, Any]) -> Any:
-        """Convert a dict to a message object of type `kind`.
-
-        Raises:
-            InputError: The dict has a field that the type lacks.
-        """
+        """Convert a dict to a message object of type `kind`."""
         fields = dict(self._store.fielddefs[kind][1])
         unknown = content.keys() - fields.keys()
         if unknown:
@@ -219,7 +215,7 @@ def write_mcap(
     played = [playable(each) for each in results]
     joints = [robot.joint_names for robot, _, _ in played]
     if not joints or any(names != joints[0] for names in joints):
-        raise InputError("a run is of motions of one robot, and of one motion at least", motions=len(joints))
+        raise InputError("expected one or more motions of the same robot", motions=len(joints))
     spans = _spans(results, [playback.trajectory.duration for _, _, playback in played])
     recordings = [
         _Recording(*each, rate_hz, time_ns("stamp_s", stamp_s + begin), span, is_first=number == 0)

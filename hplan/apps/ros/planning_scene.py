@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
-from hplan.apps.ros.placed_shapes import NO_OCTOMAP, NO_PLANE, SIZES, OpenMeshes, mesh, planning_frame, pose, shape
+from hplan.apps.ros.moveit_scene import NO_OCTOMAP, NO_PLANE, SIZES, OpenMeshes, mesh, planning_frame, pose, shape
 from hplan.base.arguments import file_path, is_number, list_of
 from hplan.base.files import ByteBudget
 from hplan.base.yaml_text import read_yaml
@@ -93,8 +93,8 @@ def _attached_fault(message: Mapping[str, Any]) -> str:
         held = mapping(item, f"{where}[{index}]")
         name = mapping(or_else(held.get("object"), {}), f"{where}[{index}].object").get("id")
         return (
-            f"{name!r} is attached to link {held.get('link_name')!r}, and an attached object is no obstacle; model it "
-            "as a part of that link in the URDF"
+            f"{name!r} is attached to link {held.get('link_name')!r}, and an attached object is not an obstacle; "
+            "model it as a part of that link in the URDF"
         )
     return ""
 
@@ -213,7 +213,7 @@ class FixedFrames:
         found = pin.SE3.Identity()
         known = [self._planning, *self._parents]
         if frame and frame not in known:
-            reason = f"{name!r} is in frame {frame!r}, known are {', '.join(map(repr, known))}"
+            reason = f"{name!r} is in frame {frame!r}, the known frames are {', '.join(map(repr, known))}"
             if self._first:
                 reason = (
                     f"{self._first!r} is in frame {self._planning!r}, {name!r} in {frame!r}; expected one frame, or "
@@ -433,7 +433,7 @@ def _obstacles(world: _World, base: pin.SE3, prefix: str, open_meshes: OpenMeshe
         names.add(name)
         operation = item.get("operation", 0)
         if (operation.decode("latin-1") if isinstance(operation, bytes | bytearray) else operation) not in _ADDS:
-            reason = f"only objects that are added are read (ADD, 0); got {operation!r}"
+            reason = f"expected an object that is added (ADD, 0); got operation {operation!r}"
             raise SceneError(reason, where=f"{where}.operation", value=operation)
         if len(sequence(or_else(item.get("planes"), ()), f"{where}.planes")):
             raise SceneError(NO_PLANE, where=f"{where}.planes")
@@ -455,11 +455,7 @@ def _obstacles(world: _World, base: pin.SE3, prefix: str, open_meshes: OpenMeshe
 def _placed(
     item: Mapping[str, Any], key: str, poses: str, where: str
 ) -> Iterator[tuple[Mapping[str, Any], pin.SE3, str]]:
-    """Shapes of one kind, their poses in the object's frame, their keys.
-
-    Raises:
-        SceneError: The numbers of shapes and poses differ, or a pose is malformed.
-    """
+    """Shapes of one kind, their poses in the object's frame, their keys."""
     shapes = sequence(or_else(item.get(key), ()), f"{where}.{key}")
     places = sequence(or_else(item.get(poses), ()), f"{where}.{poses}")
     if places and len(places) != len(shapes):

@@ -1,4 +1,7 @@
-"""Figures of a tree row, a study and a trajectory, and the style of all figures."""
+"""Figures of a tree row, a study and a trajectory.
+
+Also the style of all figures.
+"""
 
 from __future__ import annotations
 
@@ -182,12 +185,12 @@ def draw_row(result: RowResult) -> Figure:
     _draw(above, result, 0, "x: across the row [m]", (ends[0], ends[1]))
     _draw(front, result, 2, "z [m]", (ends[0], ends[2]))
     front.set_xlabel("y: along the row [m]")
-    above.set_title("from above; numbers are stops, dots what can be picked from each candidate")
+    above.set_title("from above; numbers are stops, dots the fruits that can be picked from each candidate")
     front.set_title("from the front")
     handles = [
         Line2D([], [], marker="o", ls="none", color=PATH, label="picked (a colour for each stop)"),
-        Line2D([], [], marker="o", ls="none", color=OBSTACLE, label="within reach, left"),
-        Line2D([], [], marker="o", ls="none", mfc="none", color=QUIET, label="out of reach or blocked"),
+        Line2D([], [], marker="o", ls="none", color=OBSTACLE, label="reachable, not picked"),
+        Line2D([], [], marker="o", ls="none", mfc="none", color=QUIET, label="unreachable or blocked"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure
@@ -273,9 +276,9 @@ def draw_study(result: StudyResult) -> Figure:
         at = one.cost, 100.0 * one.share
         axes.annotate(str(number), at, (5, 5), textcoords="offset points", color=INK, fontweight="bold")
     is_timed = any(choice.seconds_per_fruit is not None for choice in shown)
-    axes.set_xlabel("\n".join(["seconds for each fruit" if is_timed else "reach of the arm [m]", "", *words]))
+    axes.set_xlabel("\n".join(["time per fruit [s]" if is_timed else "reach of the arm [m]", "", *words]))
     axes.xaxis.label.set(ha="left", x=0.0)
-    axes.set_ylabel("share of the fruit picked [%]")
+    axes.set_ylabel("fraction of the fruits picked [%]")
     axes.margins(x=0.08, y=0.12)
     axes.set_ylim(bottom=0.0)
     axes.grid(color=FAINT, lw=0.6)

@@ -194,7 +194,7 @@ def _millimetres(values: FloatArray, *, down: bool = False) -> list[float | None
 def certificate_words(certificate: Certificate | None) -> tuple[str, str, list[str]]:
     """Kind of the certificate (`ok`, `bad`, `none`), a sentence, and its violations."""
     if certificate is None:
-        return "none", "It does not come with this motion.", []
+        return "none", "This motion has no certificate.", []
     nearest, clearance = certificate.nearest, 1e3 * certificate.min_clearance_m
     pair = "" if nearest is None else f"{nearest.link} – {nearest.obstacle}, {1e3 * nearest.distance_m:.2f} mm"  # noqa: RUF001
     if certificate.nearest_s is not None:
@@ -205,7 +205,7 @@ def certificate_words(certificate: Certificate | None) -> tuple[str, str, list[s
         words = f"clearance {at_least_mm(certificate.min_clearance_m)} mm or more at all times"
     else:
         errors = nearest is not None and clearance < 1e3 * nearest.distance_m - 0.01
-        words = f"smallest clearance found {clearance:.2f} mm{', tracking errors taken off' if errors else ''}"
+        words = f"minimum clearance found {clearance:.2f} mm{' after subtraction of tracking errors' if errors else ''}"
     if certificate.pushes:
         deepest = max(certificate.pushes, key=lambda push: push.depth_m)
         names = len({push.obstacle for push in certificate.pushes})
@@ -213,7 +213,9 @@ def certificate_words(certificate: Certificate | None) -> tuple[str, str, list[s
             f"; {names} pushed, {deepest.obstacle} by {deepest.link} deepest: {1e3 * deepest.depth_m:.2f} mm at most"
         )
     if certificate.uncovered_links:
-        words += f"; not covered, as drawn without a fitting collision shape: {', '.join(certificate.uncovered_links)}"
+        words += (
+            f"; not covered, because drawn without a matching collision shape: {', '.join(certificate.uncovered_links)}"
+        )
     return (
         "ok" if certificate.verified else "bad",
         f"{words}; nearest: {pair}" if pair else words,
@@ -355,9 +357,6 @@ def _viewer_source() -> str:
     """Read meshcat's viewer, a JavaScript file.
 
     Meshcat itself is not imported, which would take 0.2 s.
-
-    Raises:
-        HplanError: meshcat is not installed.
     """
     found: Any = importlib.util.find_spec("meshcat")
     for folder in [] if found is None else found.submodule_search_locations:

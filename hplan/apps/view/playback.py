@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from hplan.certificate.certificate import Certificate
     from hplan.certificate.clearance_curve import ClearanceCurve
     from hplan.certificate.retimed_certificate import CertifiedMotion
-    from hplan.planning.cell import CellResult
     from hplan.planning.result import PlanResult
     from hplan.scene.model import Scene
     from hplan.tour.cell_tour import CellTour
-    from hplan.tour.result import TourResult
+    from hplan.tour.tour import TourResult
+    from hplan.workcell.cell import CellResult
 
     #: Results that have a motion to visualize.
     Shown: TypeAlias = PlanResult | CertifiedMotion | TourResult | CellResult | CellTour
@@ -62,11 +62,11 @@ class Playback:
         for option in ("picked", "dropped"):
             times = getattr(self, option)
             if not isinstance(times, Mapping):
-                raise OptionError(option, times, "times [s] by the names of fruits")
+                raise OptionError(option, times, "a mapping from names of fruits to times [s]")
             for name, time_s in times.items():
                 number(option, time_s, f"a time in seconds for {text(option, name)!r}")
         for phases in (self.phases, *self.arms.values()):
-            for phase in list_of("phases", phases, Phase, "phases with a name, a begin and an end"):
+            for phase in list_of("phases", phases, Phase, "phases with a name, a start and an end"):
                 numbers("phases", [phase.start_s, phase.end_s], (2,))
         number("begin_s", self.begin_s, "a time in seconds")
 
@@ -118,7 +118,7 @@ def playable(result: Shown) -> tuple[Robot, Scene, Playback]:
     given: Any = result
     shows = hasattr(result, "certificate") or hasattr(result, "between")
     if not (shows and isinstance(getattr(result, "trajectory", None), Trajectory)):
-        raise OptionError("result", result, "a result with a motion, as of plan or plan_tour")
+        raise OptionError("result", result, "a result with a motion, as from plan or plan_tour")
     picked, dropped = getattr(given, "picked", {}), getattr(given, "dropped", {})
     if not hasattr(result, "cell"):
         phases = getattr(given, "phases", ())

@@ -113,7 +113,10 @@ def _joint_paths(model: pin.Model, top: str) -> list[str]:
 
 
 def _looks(robot: Robot) -> Sequence[pin.GeometryObject]:
-    """Drawn geometry of a robot: visual, or collision if the visual is too detailed."""
+    """Drawn geometry of a robot.
+
+    Visual shapes, or collision shapes if the visual ones are too detailed.
+    """
     shown: Sequence[pin.GeometryObject] = robot.visual_model.geometryObjects
     triangles = sum(getattr(item.geometry, "num_tris", 0) for item in shown)
     # Visual meshes with more triangles than this are not drawn: a Panda's would give a page of 68 MB.
@@ -121,7 +124,7 @@ def _looks(robot: Robot) -> Sequence[pin.GeometryObject]:
 
 
 def _posed(robot: Robot, q: FloatArray, top: str, surface: Json | None = None, **settings: Any) -> list[Json]:
-    """Draw the robot at a configuration, in its own colours or as a single-surface ghost.
+    """Draw the robot at a configuration, in colour or as a ghost.
 
     A ghost omits the base, and bodies that turn about the vertical in place.
     """
@@ -150,7 +153,10 @@ def _turns_upright(robot: Robot) -> bool:
 
 
 def _animation(robot: Robot, scene: Scene, playback: Playback, picks: Sequence[scenery.Pick]) -> Json:
-    """Looping animation of joints, tracked obstacles and picked fruits, timed in seconds of the motion."""
+    """Looping animation of joints, tracked obstacles and picked fruits.
+
+    Its time is that of the motion [s].
+    """
     model, data, trajectory = robot.model, robot.model.createData(), playback.trajectory
     times = keyframe_times(trajectory)
     configurations = np.column_stack([np.interp(times, trajectory.time, column) for column in trajectory.position.T])
@@ -186,7 +192,7 @@ def _row_at(trajectory: Trajectory, time: float) -> int:
 
 
 def _add_tool_path(body: Body, robot: Robot, playback: Playback, frame: str, phases: Sequence[Phase]) -> None:
-    """Draw a tool's path as a tube, with a ball at each end.
+    """Draw a tool's path as a tube with balls at its ends.
 
     Its colour changes from the start's to the goal's; approaches are drawn separately.
     """
@@ -224,14 +230,19 @@ def _add_tool_path(body: Body, robot: Robot, playback: Playback, frame: str, pha
 
 
 def _stands(scene: Scene, playback: Playback) -> list[Scene]:
-    """Scenes at several times of a motion for framing; one if only the arm moves."""
+    """Scenes at several times of a motion, for framing.
+
+    One scene if only the arm moves.
+    """
     if not scene.moves:
         return [scene]
     return [scene.at(playback.begin_s + part * playback.trajectory.duration) for part in (0.0, 0.25, 0.5, 0.75, 1.0)]
 
 
 def _floor(robot: Robot, stands: Sequence[Scene]) -> float:
-    """Height of the ground [m]: 0, or the bottom of furniture below the arm's foot.
+    """Height of the ground [m].
+
+    0, or the bottom of furniture below the arm's foot.
 
     Such furniture is a table, shelf or platform that extends below the foot.
     """
@@ -248,11 +259,11 @@ def _is_ground(robot: Robot, corners: FloatArray) -> bool:
 
 
 def _frame(robot: Robot, stands: Sequence[Scene], trajectory: Trajectory, picks: Sequence[int], floor: float) -> Frame:
-    """Place the camera to fill the picture and view the arm from the side.
+    """Place the camera to view the arm from the side.
 
-    The side is that of the vertical plane through the first joint and the tool; for several picked fruits, of the plane
-    in the middle of the picks. Among four candidate directions, in
-    front of and behind the arm, it takes the one that hides the least of the arm and its path.
+    The scene fills the picture. The side is that of the vertical plane through the first joint and the tool; for
+    several picked fruits, of the plane in the middle of the picks. Among four candidate directions, in front of and
+    behind the arm, it takes the one that hides the least of the arm and its path.
     """
     count = min(25 * max(1, len(picks)), 100)
     rows = np.unique([*np.linspace(0, trajectory.samples - 1, count).astype(int), *picks])
@@ -273,7 +284,10 @@ def _frame(robot: Robot, stands: Sequence[Scene], trajectory: Trajectory, picks:
 
 
 def _arm_points(robot: Robot, configurations: FloatArray) -> FloatArray:
-    """(n, 3) positions of joints, tool and link midpoints at each configuration [m]."""
+    """(n, 3) positions of joints, tool and link midpoints [m].
+
+    Those of all configurations, in sequence.
+    """
     points, (model, data) = [np.zeros((0, 3))], (robot.model, robot.model.createData())
     frame = robot.frame_number(robot.tool_frame)
     for q in configurations:
@@ -285,7 +299,10 @@ def _arm_points(robot: Robot, configurations: FloatArray) -> FloatArray:
 
 
 def _corners(robot: Robot, configurations: FloatArray) -> FloatArray:
-    """(n, 3) corners of the arm bodies' bounding boxes at each configuration [m]."""
+    """(n, 3) corners of the arm bodies' bounding boxes [m].
+
+    Those of all configurations, in sequence.
+    """
     bodies = [body for body in collision_bodies(robot) if body.joint >= 0]
     ends = [(body.core.min(axis=0) - body.rounding, body.core.max(axis=0) + body.rounding) for body in bodies]
     boxes = [np.where(CUBE_CORNERS < 0.0, low, high) for low, high in ends]

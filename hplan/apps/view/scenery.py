@@ -242,7 +242,7 @@ def picks(scene: Scene, playback: Playback) -> list[Pick]:
     result = []
     for name, time in sorted(playback.picked.items(), key=lambda item: item[1]):
         if name not in known:
-            raise InputError(f"picked names {name!r}, which is not among the scene's fruits", fruit=name)
+            raise InputError(f"picked contains {name!r}, which is not among the scene's fruits", fruit=name)
         if not 0.0 <= time <= duration + 1e-9:
             raise InputError(
                 f"{name!r} is picked at {time} s; the motion lasts from 0 to {duration:.6g} s", fruit=name, time=time

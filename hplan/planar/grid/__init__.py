@@ -1,4 +1,4 @@
-"""The paper's method: analytic C-space on a joint grid, and the search on it.
+"""The paper's method: analytic C-space and search on a joint grid.
 
 `occupancy` implements equations (1)-(3), `sections` the planar sections that they apply to; `astar` is the dense A*,
 `two_level` the paper's two-level method. The search depends on nodes and costs only, not on robots.

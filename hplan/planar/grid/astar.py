@@ -1,4 +1,6 @@
-r"""A* in any dimension: on the dense grid, one slice, or the sparse union of slice paths.
+r"""A* in any dimension.
+
+On the dense grid, one slice, or the sparse union of slice paths.
 
 The three differ only in the bits that are set. Two lower bounds guide the search: the straight line, and the shortest
 path on the free grid (octile).
@@ -27,7 +29,9 @@ _OFTEN = 255
 
 
 def dense_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, octile: bool = False) -> SearchResult:
-    """Baseline: shortest path over all free nodes with full connectivity (26 neighbours in 3-D).
+    """Baseline: shortest path over all free nodes.
+
+    With full connectivity: 26 neighbours in 3-D.
 
     Args:
         occupancy: Free nodes of the grid.

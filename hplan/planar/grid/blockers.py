@@ -17,7 +17,9 @@ from hplan.robot.planar_family import PlanarArm
 
 
 def blockers(arm: PlanarArm, sections: ArmSections, grid: Grid, reached: BoolArray) -> list[dict[str, Any]]:
-    """Link and obstacle pairs that occupy the reached region's border, largest share first.
+    """Link and obstacle pairs that occupy the reached region's border.
+
+    The largest share is first.
 
     Args:
         reached: Mask of the grid's shape, True for nodes connected to the start.

@@ -100,7 +100,9 @@ def reachable(occupancy: Occupancy, start: ArrayLike) -> BoolArray:
 
 
 def slices_with_path(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike) -> BoolArray:
-    """Slices of the last axis with their own path from the start's row to the goal's.
+    """Slices of the last axis with their own path.
+
+    From the row of the start to that of the goal.
 
     Args:
         occupancy: Free nodes of the grid.
@@ -235,7 +237,7 @@ def _step_along_bits(bits: WordArray, wide: WordArray, words: int) -> None:
 
 @kernel
 def _run_along_bits(here: WordArray, inside: WordArray, words: int) -> None:
-    """Propagate a line's bits along the last axis through the free bits `inside`."""
+    """Propagate bits along the last axis through free bits `inside`."""
     one, top, zero = np.uint64(1), np.uint64(63), np.uint64(0)
     for begin in range(words, len(here) - words, words):
         carry = zero
@@ -257,7 +259,10 @@ def _run_along_bits(here: WordArray, inside: WordArray, words: int) -> None:
 
 @kernel
 def slice_sizes(words: WordArray) -> IntArray:
-    """(64 * words,) number of set bits in each slice of (rows, words)."""
+    """(64 * words,) number of set bits in each slice.
+
+    Of (rows, words).
+    """
     sizes = np.zeros(64 * words.shape[1], dtype=np.int64)
     one = np.uint64(1)
     for row in range(words.shape[0]):

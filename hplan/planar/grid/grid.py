@@ -1,4 +1,4 @@
-"""Grid over joint space (or any other box), and the occupancy of its nodes.
+"""Grid over a box, such as joint space, and its occupancy.
 
 Occupancy uses one bit per node, with the last axis along the bits of 64-bit words: a forbidden interval of the last
 joint is then a few masks, and one word operation floods 64 slices.
@@ -55,7 +55,7 @@ class Grid(Record):
         try:
             low, high = numbers("lower", lower, (None,)), numbers("upper", upper, (None,))
         except InputError as error:
-            raise OptionError("limits", (lower, upper), f"finite lower limits and upper ones: {error}") from error
+            raise OptionError("limits", (lower, upper), f"finite lower and upper limits: {error}") from error
         expected = f"a positive finite spacing, one number or {low.size}"
         try:
             steps = numbers("step", step, (low.size,) if isinstance(step, np.ndarray | list | tuple) else ())
@@ -67,7 +67,7 @@ class Grid(Record):
             raise OptionError(
                 "limits",
                 (low.tolist(), high.tolist()),
-                f"finite lower limits, none above the upper one, and all within {_FARTHEST:g}",
+                f"finite lower limits, none above its upper limit, all within +-{_FARTHEST:g}",
             )
         counts = np.where(low < high, np.maximum(1.0, np.ceil((high - low) / steps - 1e-9)), 0.0)
         with np.errstate(over="ignore"):
@@ -90,7 +90,7 @@ class Grid(Record):
         return coordinates
 
     def position(self, coordinates: ArrayLike) -> FloatArray:
-        """Coordinates in units of steps from node 0, (..., d) -> (..., d)."""
+        """Coordinates in steps from node 0, (..., d) -> (..., d)."""
         position: FloatArray = (np.asarray(coordinates) - self.lower) / self.step
         return position
 
@@ -126,7 +126,7 @@ class Occupancy(Record):
         instance("grid", grid, Grid, "Grid.over")
         occupied = instance("occupied", occupied, np.ndarray)
         if occupied.dtype != np.bool_:
-            raise OptionError("occupied", f"an array of {occupied.dtype}", "an array of truth values")
+            raise OptionError("occupied", f"an array of {occupied.dtype}", "an array of Booleans")
         if occupied.shape != grid.shape:
             raise InputError(
                 f"occupancy mask has shape {occupied.shape}, the grid {grid.shape}",
@@ -160,7 +160,7 @@ class Occupancy(Record):
 
 
 def checked_node(occupancy: Occupancy, index: ArrayLike, which: str) -> IntArray:
-    """Validate the index of a free node; return it as a (d,) array.
+    """Validate the index of a free node; return it as (d,).
 
     Raises:
         OptionError: `occupancy` is not an `Occupancy`.

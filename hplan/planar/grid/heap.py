@@ -21,7 +21,9 @@ NEW, TAKEN = -1, -2
 
 @inlined
 def priority(cost: float, ahead: float, scale: float) -> float:
-    """Key of a node: f rounded to 1e-10 of the total, plus a tie-breaking fraction.
+    """Key of a node: rounded f plus a tie-breaking fraction.
+
+    f is rounded to 1e-10 of the total.
 
     The rounding makes sums of the same moves in another order tie. The fraction decreases towards the goal and decides
     ties.
@@ -36,14 +38,16 @@ def priority(cost: float, ahead: float, scale: float) -> float:
 
 @inlined
 def begin(keys: FloatArray, nodes: Numbers, slot: Numbers, node: int) -> int:
-    """Initialize the heap with one node of key 0; its size is then 1."""
+    """Initialize the heap with one node of key 0."""
     keys[0], nodes[0], slot[node] = 0.0, node, 0
     return 1
 
 
 @inlined
 def pop(keys: FloatArray, nodes: Numbers, slot: Numbers, size: int) -> int:
-    """Remove and return the node with the smallest key; leaves `size - 1` entries.
+    """Remove and return the node with the smallest key.
+
+    `size - 1` entries remain.
 
     Args:
         keys: (capacity,) keys in heap order.
@@ -73,7 +77,7 @@ def pop(keys: FloatArray, nodes: Numbers, slot: Numbers, size: int) -> int:
 
 @inlined
 def push(keys: FloatArray, nodes: Numbers, slot: Numbers, size: int, key: float, node: int) -> int:
-    """Insert a node, or lower its key if it is already in the heap.
+    """Insert a node, or lower its key in the heap.
 
     Args:
         keys: (capacity,) keys in heap order.

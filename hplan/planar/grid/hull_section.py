@@ -1,4 +1,4 @@
-r"""Section of a hull of points, grown by a radius, with a plane, as a rounded polygon of tangents.
+r"""Plane section of a grown hull, as a rounded polygon.
 
 With core points :math:`p_i` at heights :math:`n_i`, the section's support along a unit vector :math:`u` of the plane is
 
@@ -44,7 +44,9 @@ class _Hull(NamedTuple):
 
 @kernel
 def _draw_tangent(points: FloatArray, hull: _Hull, ux: float, uy: float, tangents: FloatArray, row: int) -> None:
-    """Write the tangent with normal (ux, uy) from the support and its contact disc.
+    """Write the tangent with normal (ux, uy).
+
+    From the support and its contact disc.
 
     The disc's centre lies between the two binding core points, the lower and the higher one.
     """
@@ -112,7 +114,9 @@ def _gap(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> floa
 
 @kernel
 def _kept_rounding(points: FloatArray, radius: float) -> float:
-    """Rounding radius of the section: a lower bound on its contact discs' radii.
+    """Rounding radius of the section.
+
+    A lower bound on the radii of its contact discs.
 
     The section is therefore a convex set grown by this radius. A tangent that touches the face (or edge, or vertex) of
     the core at height n > 0 has the tilt n / sqrt(r^2 - n^2), which cannot exceed run over rise to any point below a
@@ -160,7 +164,9 @@ def _next_normal(tangents: FloatArray, at: int, following: int) -> tuple[float, 
 def _draw_between(
     points: FloatArray, hull: _Hull, error: float, tangents: FloatArray, after: IntArray
 ) -> tuple[int, float]:
-    """Draw tangents between the first four until all corners are within the error.
+    """Draw tangents until all corners are within the error.
+
+    They lie between the first four.
 
     Returns:
         Number of tangents, and the error, which is larger than allowed if more than `MOST_TANGENTS` were required.
@@ -191,7 +197,10 @@ def _draw_between(
 
 @inlined
 def _drop_needless(made: int, error: float, tangents: FloatArray, after: IntArray) -> tuple[int, int]:
-    """Drop tangents that the error allows to omit; return the remaining number and one of them."""
+    """Drop tangents within the error; return the number left.
+
+    Also returns one of the remaining tangents.
+    """
     start, sides = 0, made
     for _ in range(made):
         middle = after[start]
@@ -221,7 +230,9 @@ def cut_hull(
     after: IntArray,
     corners: FloatArray,
 ) -> tuple[int, float]:
-    """Rounded polygon around the section of a hull of points, grown by `radius`, with the plane at height 0.
+    """Rounded polygon around a grown hull's section at height 0.
+
+    The hull of points is grown by `radius`.
 
     Args:
         points: (k, 3) core points in plane coordinates [m].
@@ -273,7 +284,10 @@ def cut_hull(
 def _thin(
     tangents: FloatArray, length: float, width: float, kept: float, error: float, corners: FloatArray
 ) -> tuple[int, float]:
-    """Stadium or disc around a rectangle no wider than the error; returns as `cut_hull` does."""
+    """Stadium or disc around a rectangle no wider than the error.
+
+    Returns as `cut_hull` does.
+    """
     ux, uy = tangents[0, 0], tangents[0, 1]
     offset = 0.5 * (tangents[1, 2] - tangents[3, 2])
     if math.hypot(length, width) <= error:

@@ -1,4 +1,6 @@
-"""Search lattice of a grid: bit rows with a border, and the moves to all neighbours.
+"""Search lattice of a grid.
+
+Bit rows with a border, and the moves to all neighbours.
 
 A node is a row (all axes but the last) and a bit (the last axis). A border of occupied rows surrounds the rows, so that
 a neighbouring row is always one addition away. One slice of the last axis is the same bit of every row.
@@ -57,7 +59,9 @@ class Lattice(Record):
 
     @classmethod
     def of(cls, shape: tuple[int, ...], step: FloatArray) -> Lattice:
-        """Lattice of a grid with full connectivity (8 neighbours in 2-D, 26 in 3-D).
+        """Lattice of a grid with full connectivity.
+
+        8 neighbours in 2-D, 26 in 3-D.
 
         The last few lattices are cached: planning repeats on the same grid, and a lattice contains geometry only.
         """
@@ -176,7 +180,7 @@ class NodeSet(NamedTuple):
 
 @kernel
 def numbered(words: WordArray, rows: IntArray) -> NodeSet:
-    """Node set of (rows, words) bits that are set in the given rows only."""
+    """Node set, (rows, words) bits, of the given rows only."""
     ranks = np.empty(words.shape, dtype=np.int32)
     size = 0
     for row in rows:

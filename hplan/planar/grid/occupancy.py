@@ -1,4 +1,6 @@
-r"""Analytic C-space: closed-form intervals of forbidden joint angles, link by link (the paper's equations 1-3).
+r"""Analytic C-space: closed-form intervals of forbidden joint angles.
+
+Link by link, by the paper's equations (1)-(3).
 
 A link of length :math:`L` turns about its near joint. A disc of radius :math:`R` (obstacle grown by the link's
 half-width) has its centre at distance :math:`\rho` from the joint, at bearing :math:`\varphi`. The link's axis meets
@@ -49,7 +51,9 @@ _OFTEN = 63
 
 
 class _Links(NamedTuple):
-    """Links of an arm as in `PlanarArm`, their joints' grid axes as in `Grid`, and deadline.
+    """Links of an arm, their joints' grid axes, and the deadline.
+
+    Links are as in `PlanarArm`, axes as in `Grid`.
 
     All arrays are (links,); for the deadline see `hplan.base.deadline`.
     """
@@ -78,7 +82,7 @@ class _Axis(NamedTuple):
 
 
 class _Poses(NamedTuple):
-    """(rows,) poses of one link's joint at all nodes of the preceding joints.
+    """(rows,) poses of a link's joint at the preceding joints' nodes.
 
     Each row of the grid has one pose.
 
@@ -98,7 +102,9 @@ class _Poses(NamedTuple):
 
 
 def occupancy(arm: PlanarArm, sections: ArmSections, grid: Grid) -> Occupancy:
-    """Occupancy of the joint grid: a node is occupied if a link meets a section.
+    """Occupancy of the joint grid.
+
+    A node is occupied if a link meets a section.
 
     For `n` joints of `N` nodes each, a section needs one interval for the first link, `N` for the second and
     `N**(n - 1)` for the last, whose rows are filled by interval.
@@ -109,7 +115,7 @@ def occupancy(arm: PlanarArm, sections: ArmSections, grid: Grid) -> Occupancy:
     links = arm.link_count
     if len(grid.shape) != links or len(sections.link_start) != links + 1:
         raise InputError(
-            f"occupancy: the arm has {links} links, the grid {len(grid.shape)} axes and the sections are for "
+            f"occupancy: the arm has {links} links, the grid has {len(grid.shape)} axes, and the sections are for "
             f"{len(sections.link_start) - 1} links",
         )
     shape = np.array(grid.shape)
@@ -123,7 +129,9 @@ def occupancy(arm: PlanarArm, sections: ArmSections, grid: Grid) -> Occupancy:
 
 
 def _take_out_contact(words: WordArray, arm: PlanarArm, grid: Grid, link: int, other: int, radius: float) -> None:
-    """Clear the bits of nodes with a link's axis within `radius` of an earlier link's axis.
+    """Clear the bits of nodes with two link axes too close.
+
+    Closer than `radius` to the axis of an earlier link.
 
     This depends only on the joints between the two: the links after `other` form a separate arm, and `other` is an
     obstacle to the last of them.
@@ -183,7 +191,9 @@ def _disc_tangent(square: float, length: float, radius: float) -> tuple[float, f
 def _polygon_interval(
     vertices: FloatArray, first: int, last: int, radius: float, pose: tuple[float, float, float, float], length: float
 ) -> tuple[int, float, float]:
-    """Interval of angles in which a link from (x, y) meets a rounded polygon.
+    """Interval of angles in which a link meets a rounded polygon.
+
+    The link begins at (x, y).
 
     Angles are relative to the direction (cos, sin). The interval is narrower than pi, so the signs of cross products
     select its ends among the directions to points, and only these two directions are converted to angles.
@@ -253,7 +263,10 @@ def _polygon_interval(
 def _widen(
     cone: tuple[float, float, float, float], ax: float, ay: float, bx: float, by: float
 ) -> tuple[float, float, float, float]:
-    """Widen a counter-clockwise cone of directions to include the cone from a to b."""
+    """Widen a counter-clockwise cone of directions to include another.
+
+    The other cone is from a to b.
+    """
     lx, ly, hx, hy = cone
     if lx == 0.0 and ly == 0.0:
         return ax, ay, bx, by
@@ -266,7 +279,10 @@ def _widen(
 
 @kernel
 def _mark(rows: WordArray, r: int, low: float, high: float, axis: _Axis) -> None:
-    """Clear the bits of row `r` whose relative link angle is in [low, high] (mod 2 pi)."""
+    """Clear the bits of row `r` in an interval of angles.
+
+    The relative link angle is in [low, high] (mod 2 pi).
+    """
     lower, step, count, sign, offset = axis
     if sign < 0.0:
         low, high = offset - high, offset - low
@@ -357,7 +373,10 @@ def _fill_link(rows: WordArray, poses: _Poses, k: int, links: _Links, model: int
 
 @kernel
 def _advance(rows: WordArray, poses: _Poses, k: int, links: _Links) -> _Poses:
-    """Poses of the next link's joint, from the rows of link k and the poses of its joint."""
+    """Poses of the next link's joint.
+
+    From the rows of link k and the poses of its joint.
+    """
     length, axis = links.lengths[k], _axis(links, k)
     count = axis.size
     size = rows.shape[0] * count

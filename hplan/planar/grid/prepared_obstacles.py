@@ -18,7 +18,10 @@ from hplan.planar.grid.cutting_arrays import Balls, Hulls
 
 
 class ConvexObstacle(Protocol):
-    """Obstacle interface for sections: the hull of `core`, or each point, grown by `rounding`."""
+    """Obstacle interface for sections.
+
+    The hull of `core`, or each of its points, grown by `rounding`.
+    """
 
     @property
     def name(self) -> str:
@@ -34,7 +37,10 @@ class ConvexObstacle(Protocol):
 
     @property
     def is_point_set(self) -> bool:
-        """True if every core point is a separate ball (point cloud), not a corner of one hull."""
+        """True if every core point is a separate ball.
+
+        As in a point cloud; else the points are corners of one hull.
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +122,7 @@ def prepare_obstacles(
 
 
 def _hulls(corners: FloatArray, lengths: IntArray, radii: FloatArray, owners: IntArray) -> Hulls:
-    """Assemble hulls from concatenated corners and the number of corners of each hull."""
+    """Assemble hulls from concatenated corners and corner counts."""
     starts = np.concatenate([[0], np.cumsum(lengths)])
     low, high = np.minimum.reduceat(corners, starts[:-1]), np.maximum.reduceat(corners, starts[:-1])
     bounds = np.column_stack([0.5 * (low + high), 0.5 * np.linalg.norm(high - low, axis=1)])

@@ -12,7 +12,9 @@ from hplan.base.kernels import inlined, kernel
 
 @kernel
 def rectangle_half_angles(rho: float, length: float, half_width: float, radius: float) -> tuple[float, float]:
-    """Minimum and maximum |bearing| of contact between disc and rectangle; -1 without contact.
+    """Minimum and maximum |bearing| of contact of disc and rectangle.
+
+    -1 without contact.
 
     The rectangle is [0, length] x [-w, w]. Grown by the disc's radius, it extends to `extent(a)` in direction `a`;
     `extent` increases from `a = 0` to the corner and decreases from there to `a = pi`. Each branch below inverts one
@@ -44,6 +46,9 @@ def rectangle_half_angles(rho: float, length: float, half_width: float, radius: 
 
 @inlined
 def _arc(rho: float, centre: float, radius: float) -> float:
-    """Angle between the directions to a circle's centre and to its point at distance rho."""
+    """Angle between directions to a circle's centre and a point.
+
+    The point of the circle is at distance rho.
+    """
     cosine = (rho * rho + centre * centre - radius * radius) / (2.0 * rho * centre)
     return math.acos(max(-1.0, min(1.0, cosine)))

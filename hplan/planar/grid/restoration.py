@@ -1,4 +1,4 @@
-"""Sparse graph: the union of the slice paths, with connectivity restored across gaps.
+"""Sparse graph of slice paths, with connectivity restored across gaps.
 
 The paper takes the path of the first slice that has one, copies it slice by slice back towards the start, and cuts it
 in each slice before the first contact. This module does the same on the goal's side (the last path is copied towards
@@ -18,7 +18,7 @@ from hplan.planar.grid.result import SlicePaths
 def union_of(
     lattice: Lattice, free: WordArray, layers: SlicePaths, start: IntArray, goal: IntArray, *, beyond: bool = False
 ) -> tuple[NodeSet, tuple[int, ...]]:
-    """Join the slice paths, restore connectivity between them, and add start and goal.
+    """Join the slice paths, start and goal, with restored connectivity.
 
     Args:
         free: (rows, words) bits with border.
@@ -40,7 +40,10 @@ def union_of(
 def _united(
     free: WordArray, path_rows: IntArray, begins: IntArray, first: int, start: Node, goal: Node, beyond: bool
 ) -> tuple[NodeSet, BoolArray]:
-    """Union of start, goal, all paths and restored segments, and a mask of the restored slices."""
+    """Union of start, goal, all paths and restored segments.
+
+    Also a mask of the restored slices.
+    """
     union, has_nodes = np.zeros(free.shape, dtype=np.uint64), np.zeros(free.shape[0], dtype=np.bool_)
     rows = np.empty(min(len(path_rows) + 2, free.shape[0]), dtype=np.int64)
     count = 0
@@ -98,7 +101,10 @@ def _restore(
 def _carry(
     free: WordArray, path: IntArray, begin: int, end: int, head: bool, union: WordArray, restored: BoolArray
 ) -> None:
-    """Copy a path's head (or tail) to slices `begin` to `end`, cut before the first contact."""
+    """Copy a path's head (or tail) to slices `begin` to `end`.
+
+    It is cut before the first contact.
+    """
     kept = len(path)
     for number in range(begin, end, 1 if end >= begin else -1):
         word, bit = number >> 6, np.uint64(1) << np.uint64(number & 63)

@@ -41,7 +41,7 @@ class SlicePaths(Record):
         return frozen(feasible)
 
     def paths(self) -> dict[int, IntArray]:
-        """Path of each searched slice that has one, as (m, d) node indices."""
+        """Path of each searched slice with one, as (m, d) indices."""
         lengths = np.diff(self.begins)
         slices = np.repeat(np.arange(self.first, self.first + len(lengths)), lengths)
         nodes = frozen(self.lattice.indices(self.path_rows, slices))
@@ -118,7 +118,10 @@ class SearchResult(Record):
 
     @property
     def feasible_slices(self) -> BoolArray | None:
-        """(slices,) True for each searched slice with its own path; None for the dense search."""
+        """(slices,) True for each searched slice with its own path.
+
+        None for the dense search.
+        """
         return None if self.layers is None else self.layers.feasible
 
     @cached_property

@@ -1,4 +1,6 @@
-"""Compiled kernels of `hplan.planar.grid.sections`: cut all bodies by the arm plane, link by link.
+"""Compiled kernels that cut all bodies by the arm plane.
+
+Link by link, for `hplan.planar.grid.sections`.
 
 The section of a ball is a disc; `hplan.planar.grid.hull_section` computes the section of a hull.
 """
@@ -17,7 +19,9 @@ from hplan.planar.grid.hull_section import MOST_TANGENTS, cut_hull
 
 @kernel
 def _seen(points: FloatArray, plane: ArmPlane, lateral: float, turned: FloatArray) -> tuple[float, float]:
-    """Write a hull's core points in the coordinates of a link's plane [m].
+    """Write a hull's core points in coordinates of a plane [m].
+
+    The plane of a link.
 
     The link's plane is offset from the arm plane by `lateral`.
 
@@ -47,7 +51,7 @@ def _largest(links: LinkExtents) -> tuple[float, float, float]:
 
 @inlined
 def _near_balls(balls: Balls, plane: ArmPlane, links: LinkExtents) -> tuple[int, IntArray, FloatArray]:
-    """Number, indices and plane coordinates of the balls within reach of any link."""
+    """Number, indices and plane coordinates of balls that links reach."""
     (centres, radii, _), (origin, axes) = balls, plane
     widest, farthest, aside = _largest(links)
     near, places = np.empty(len(radii), dtype=np.int64), np.empty((len(radii), 3))
@@ -134,7 +138,7 @@ def _disc_around(corners: FloatArray, count: int, rounding: float) -> tuple[floa
 
 @kernel
 def cut_hulls(hulls: Hulls, plane: ArmPlane, links: LinkExtents, error: float, balls: Cut) -> Cut:
-    """Sections of grown hulls, link by link, appended to each link's ball sections.
+    """Sections of grown hulls, appended to each link's ball sections.
 
     Args:
         error: Maximum distance of a section's outline outside the true section [m].

@@ -1,4 +1,6 @@
-r"""Planar sections of 3-D obstacles: the convex region of the arm plane in which a link meets an obstacle.
+r"""Planar sections of 3-D obstacles.
+
+A section is the convex region of the arm plane in which a link meets an obstacle.
 
 A link's axis lies in the arm plane or in a plane parallel to it. A capsule link of half-width :math:`w` meets a convex
 obstacle :math:`O` exactly when its axis meets :math:`S = (O \oplus B_w) \cap \text{plane}`. Here :math:`O` is the hull
@@ -57,7 +59,9 @@ class SectionArrays(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ArmSections(Record):
-    """Sections of all obstacles, link by link, as flat arrays for the kernels.
+    """Sections of all obstacles as flat arrays for the kernels.
+
+    Link by link.
 
     Link `k` has the sections `link_start[k]` to `link_start[k + 1]`; section `s` has the vertices `vertex_start[s]` to
     `vertex_start[s + 1]`.
@@ -108,7 +112,9 @@ def sections_at(
     link_model: LinkModel = "capsule",
     within_reach: bool = True,
 ) -> ArmSections:
-    """Cut obstacles and touchable parts of the arm by the arm plane at a yaw.
+    """Cut obstacles and arm parts by the arm plane.
+
+    Parts are those that a link can touch; the plane is at a given yaw.
 
     Args:
         yaw: Yaw of the arm plane.
@@ -142,7 +148,9 @@ def sections_at(
 
 def balls_only(name: str) -> OptionError:
     """Error that names an obstacle unsupported by the link model `rectangle`."""
-    return OptionError("link_model", "rectangle", f"another model, as this one takes only balls and {name!r} is none")
+    return OptionError(
+        "link_model", "rectangle", f"another model, because this one takes only spheres, and {name!r} is not a sphere"
+    )
 
 
 def _cut(
@@ -186,7 +194,10 @@ def _cut(
 def _with_own_pairs(
     sections: ArmSections, robot: Robot, contact: SelfContact, obstacles: PreparedObstacles
 ) -> ArmSections:
-    """Add the pairs of links that can touch, as capsules for every link model."""
+    """Add the pairs of links that can touch, as capsules.
+
+    For every link model.
+    """
     arm, count = robot.arm, len(sections.obstacle_names)
     touched = sorted({i for i, _ in contact.links})
     # A link relative to an earlier link: each link between turns it, and all later links with it.
@@ -216,7 +227,10 @@ _BASE: WeakKeyDictionary[Robot, dict[tuple[float, float], ArmSections]] = WeakKe
 
 
 def _constant_sections(robot: Robot, parts: Sequence[BaseShape], obstacles: PreparedObstacles) -> ArmSections:
-    """Cached sections of the turret and pedestal parts that do not depend on the yaw."""
+    """Cached sections of base parts that do not depend on yaw.
+
+    Parts of turret and pedestal.
+    """
     known, kept = _BASE.get(robot, {}), (obstacles.own_clearance, obstacles.deviation)
     if kept not in known:
         # A table with one entry, replaced and never modified: another thread may hold the previous table.
@@ -225,7 +239,10 @@ def _constant_sections(robot: Robot, parts: Sequence[BaseShape], obstacles: Prep
 
 
 def _base_sections(robot: Robot, parts: Sequence[BaseShape], obstacles: PreparedObstacles, yaw: float) -> ArmSections:
-    """Sections of turret and pedestal parts for each link that can touch them."""
+    """Sections of base parts for each link that can touch them.
+
+    Parts of turret and pedestal.
+    """
     grown = prepare_obstacles(parts, clearance=obstacles.own_clearance, deviation=obstacles.deviation)
     cut = _cut(robot, grown, yaw, "capsule", within_reach=True)
     links = cut.links
@@ -277,6 +294,9 @@ def only(sections: ArmSections, link: int, obstacle: int) -> ArmSections:
 
 
 def meeting_pairs(sections: ArmSections) -> list[tuple[int, int]]:
-    """Pairs of link and obstacle with a section, in order; the plane misses most obstacles."""
+    """Pairs of link and obstacle with a section, in order.
+
+    The plane misses most obstacles.
+    """
     pairs = set(zip(sections.links.tolist(), sections.obstacle_of.tolist(), strict=True))
     return sorted(pairs | {(link, obstacle) for link, _, obstacle in sections.own_pairs.tolist()})

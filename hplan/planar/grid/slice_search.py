@@ -1,4 +1,6 @@
-"""First level: an independent search on every slice of the last axis, all in one pass.
+"""First level: independent searches on all slices of the last axis.
+
+All in one pass.
 
 A slice has a path if and only if flooding it from the start's row reaches the goal's row; only then does A* search its
 rows. A search improves the lower bounds of the cost to go for the next search: the cost to go from a row expanded at
@@ -196,7 +198,7 @@ def _follow(
 
 @kernel
 def _changes(free: WordArray, wanted: IntArray) -> _Changes:
-    """Find the rows that are free in some requested slices and occupied in others."""
+    """Find the rows that are free in only some requested slices."""
     rows, zero = free.shape[0], np.uint64(0)
     mask, changing, count = np.zeros(free.shape[1], dtype=np.uint64), np.empty(rows, dtype=np.int32), 0
     for number in wanted:

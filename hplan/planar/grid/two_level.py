@@ -1,4 +1,6 @@
-"""Two-level method: slice paths, their sparse union, and a search on it; complete on the grid.
+"""Two-level method: slice paths, and a search on their union.
+
+It is complete on the grid.
 
 If the union of the slices between start and goal does not connect the two, all slices of the grid are tried (the path
 may extend beyond). If that fails too, the whole grid is flooded: if start and goal are connected, the dense search
@@ -24,7 +26,7 @@ from hplan.planar.grid.slice_search import search_slices
 
 
 def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, octile: bool = True) -> SearchResult:
-    """Search every slice between start and goal, then the union of the slice paths.
+    """Search slices between start and goal, then their paths' union.
 
     Slices are taken along the last axis.
 

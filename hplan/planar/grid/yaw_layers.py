@@ -1,4 +1,6 @@
-"""C-space of an arm with a turning base: one planar C-space layer for each yaw.
+"""C-space of an arm with a turning base, layer by layer.
+
+Each yaw has one layer, a planar C-space.
 
 Layers are stacked along the last axis. The grid's axes are the planar joints and then the yaw, so that a slice of the
 last axis is the paper's problem at that yaw, and one word of a row contains 64 yaws.
@@ -39,7 +41,9 @@ class YawAxis(NamedTuple):
 
 
 def yaw_axis(start: float, goal: float, step: float, lower: float, upper: float, beyond: float) -> YawAxis:
-    """Equally spaced yaws that include start and goal and extend beyond them within the limits.
+    """Equally spaced yaws that include start and goal.
+
+    They extend beyond them, within the limits.
 
     Args:
         step: Maximum spacing.
@@ -73,7 +77,10 @@ class LayerCache:
         self._lock = renewed_in_children(Lock())
 
     def __getstate__(self) -> int:
-        """Return only the capacity in bytes: a pickled plan does not need the layers."""
+        """Return the capacity in bytes.
+
+        A pickled plan has no layers.
+        """
         return self._most_bytes
 
     def __setstate__(self, most_bytes: int) -> None:
@@ -90,7 +97,10 @@ class LayerCache:
         return found
 
     def _keep(self, key: bytes, words: WordArray) -> None:
-        """Store a layer, unless another thread has stored it meanwhile, and evict the oldest."""
+        """Store a layer and evict the oldest.
+
+        A layer that another thread has stored meanwhile is kept.
+        """
         with self._lock:
             if key in self._held:
                 return
@@ -120,7 +130,7 @@ def turning_occupancy(
             "step_deg",
             round(math.degrees(step), 6),
             f"a larger step: with the base turning, one bit for each of {planar.size} nodes and {count} yaws takes "
-            f"{size / 1e6:.0f} MB, more than {_MOST_BYTES / 1e6:.0f} MB, and a search five times that",
+            f"{size / 1e6:.0f} MB, more than {_MOST_BYTES / 1e6:.0f} MB, and a search takes five times as much",
         )
     grid = Grid(np.append(planar.lower, first), np.append(planar.step, step), (*planar.shape, count))
     words = np.empty((planar.size, words_for(count)), dtype=np.uint64)
@@ -135,7 +145,9 @@ def turning_occupancy(
 
 @kernel
 def _stack(free: WordArray, count: int, place: int, words: WordArray, until: FloatArray) -> None:
-    """Assemble word `place` of every node's row from 64 planar occupancies, one bit each.
+    """Assemble a word of every row from 64 planar occupancies.
+
+    Word `place`; each occupancy gives one bit.
 
     The occupancies are (layers, rows, words). 64 words of 64 bits are transposed: blocks of 32 bits are swapped across
     the diagonal, then blocks of 16 within each of these, and so on.

@@ -1,4 +1,7 @@
-"""Figure of the C-space at one yaw, with the forbidden region and the motion."""
+"""Figure of the C-space at one yaw.
+
+It shows the forbidden region and the motion.
+"""
 
 from __future__ import annotations
 
@@ -58,13 +61,16 @@ def cspace_at_yaw(section: YawSection, title: str = "") -> Figure:
         from matplotlib.cm import ScalarMappable
 
         bar = figure.colorbar(ScalarMappable(norm, colors), ax=axes, shrink=0.42, aspect=18, pad=0.09)
-        bar.set_label("yaw apart from the region's [deg]")
+        bar.set_label("yaw difference from the region [deg]")
         bar.outline.set_edgecolor(FAINT)
     return figure
 
 
 def _draw_motion(axes: Any, section: YawSection, towards: Any, color_of: Any) -> bool:
-    """Draw the motion with its ends, farthest segments first; return True if any is hidden."""
+    """Draw the motion; return True if any segment is hidden.
+
+    The farthest segments are drawn first, then the ends.
+    """
     from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
     points = np.degrees(section.path)

@@ -1,4 +1,6 @@
-"""Interactive page of the C-space at one yaw, with the forbidden region and the motion.
+"""Interactive page of the C-space at one yaw.
+
+It shows the forbidden region and the motion.
 
 A ball moves along the motion. The joints' ranges map to a cube: the first joint to the right, the second backwards, the
 third up. The region has the same surface as in the figures. The line is pale if the motion's yaw is far from the
@@ -34,7 +36,9 @@ _RINGS = 240
 
 
 def render_cspace_page(section: YawSection, title: str) -> str:
-    """Render the page as self-contained HTML; the ball moves in real time in a loop.
+    """Render the page as self-contained HTML.
+
+    The ball moves in real time in a loop.
 
     Raises:
         HplanError: meshcat, which provides the viewer, is not installed.
@@ -43,7 +47,7 @@ def render_cspace_page(section: YawSection, title: str) -> str:
     far = math.degrees(float(section.yaw_distance.max()))
     entries = [("Forbidden", [_REGION_COLOR]), ("Motion", [0x22303C])]
     if far > 0.5:
-        entries.append((f"Motion at a yaw {far:.0f}° apart", [three.color_of(_FAR)]))
+        entries.append((f"Motion at a yaw {far:.0f}° away", [three.color_of(_FAR)]))
     entries += [("Start", [START_COLOR]), ("Goal", [GOAL_COLOR])]
     return document(title, words, entries, _commands(section))
 
@@ -80,7 +84,10 @@ def _commands(section: YawSection) -> list[Json]:
 
 
 def _place(section: YawSection, nodes: FloatArray) -> FloatArray:
-    """Positions in the cube of (n, 3) grid positions in units of nodes [m]."""
+    """Positions in the cube of (n, 3) grid positions [m].
+
+    Grid positions are in units of nodes.
+    """
     return _EDGE * (nodes / (np.array(section.grid.shape) - 1.0) - 0.5)
 
 
@@ -116,7 +123,10 @@ def _at(section: YawSection, axis: int, degrees: float) -> float:
 
 
 def _box(section: YawSection) -> Body:
-    """Edges of the cube, and lines on its floor and walls at the labels."""
+    """Edges of the cube, and lines at the labels.
+
+    The lines are on its floor and walls.
+    """
     half = 0.5 * _EDGE
     points: list[FloatArray] = []
     colors: list[FloatArray] = []

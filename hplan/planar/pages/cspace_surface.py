@@ -1,4 +1,4 @@
-"""Surface of the C-space obstacle in three dimensions, and the points that it hides.
+"""Surface of the C-space obstacle, and the points that it hides.
 
 Surface nets generate the obstacle's surface: one vertex in each cell that the surface crosses, one quadrilateral for
 each grid edge that it cuts. The surface is shaded and drawn in parallel projection, so that tracing the line of sight
@@ -20,7 +20,9 @@ from hplan.planar.grid.grid import Grid
 
 
 def surface_net(field: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Zero-level surface of a field on a 3-D grid, closed on the grid's faces.
+    """Zero-level surface of a field on a 3-D grid.
+
+    It is closed on the grid's faces.
 
     Args:
         field: (N1, N2, N3) values, negative inside.
@@ -96,7 +98,9 @@ def hidden(field: FloatArray, points: FloatArray, towards: FloatArray, gap: floa
 
 
 def draw_cspace_obstacle(axes: Any, grid: Grid, field: FloatArray) -> FloatArray:
-    """Draw the C-space obstacle as a shaded surface into 3-D axes, angles in degrees.
+    """Draw the C-space obstacle as a shaded surface.
+
+    Into 3-D axes with angles in degrees.
 
     Args:
         axes: Matplotlib's `Axes3D`, in parallel projection, with its view set.

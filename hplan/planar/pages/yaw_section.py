@@ -1,4 +1,4 @@
-"""C-space at one yaw: forbidden region of the planar joints, and a projected motion.
+"""C-space at one yaw, and a motion projected into it.
 
 The forbidden region is the set of configurations with negative clearance. Clearance is evaluated at the nodes of a
 grid, and the region's surface is interpolated between them. For a motion that turns the base, the picture is valid only
@@ -125,7 +125,9 @@ def yaw_section(
 
 
 def check_yaw(robot: Robot, yaw: float | None) -> None:
-    """Check that an arm's C-space can be drawn at a yaw; None for the goal's yaw.
+    """Check that an arm's C-space can be drawn at a yaw.
+
+    None for the goal's yaw.
 
     Raises:
         InputError: The arm does not have three planar joints.
@@ -133,7 +135,7 @@ def check_yaw(robot: Robot, yaw: float | None) -> None:
     """
     if robot.arm.link_count != 3:
         raise InputError(
-            f"the C-space view wants three planar joints; {robot.name!r} has {robot.arm.link_count}",
+            f"the C-space view requires three planar joints; {robot.name!r} has {robot.arm.link_count}",
             expected=3, got=robot.arm.link_count,
         )  # fmt: skip
     low, high = (float(robot.lower[0]), float(robot.upper[0])) if robot.has_yaw else (0.0, 0.0)

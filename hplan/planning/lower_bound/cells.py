@@ -1,4 +1,4 @@
-r"""Cells of a joint grid that a motion can pass, and can reach in time.
+r"""Cells of a joint grid that a motion can reach in time.
 
 No motion passes the cells that are entirely in contact. They are in contact for all values of the joints without an
 axis. The configurations of a box differ from its center by at most half of its size, :math:`e_j` in joint :math:`j`.

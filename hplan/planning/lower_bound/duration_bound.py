@@ -126,7 +126,7 @@ def _contradiction(duration_s: float, joints: Sequence[str]) -> BoundError:
     """
     named = f"joint{'s' if len(joints) > 1 else ''} {', '.join(map(repr, joints))}"
     return BoundError(
-        f"a motion of {duration_s:.6g} s was found, and shown to be impossible by the bound of {named}",
+        f"a motion of {duration_s:.6g} s was found, which the bound of {named} excludes",
         duration_s=duration_s,
         joint=joints[-1],
     )

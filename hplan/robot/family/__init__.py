@@ -1,4 +1,4 @@
-"""Generates members of the harvester family: URDF and limits file from a specification."""
+"""Generates URDFs and limits files of planar arms from specifications."""
 
 from hplan.robot.family.members import CrossCheck, cross_check, load_member, write_robot
 from hplan.robot.family.spec import HARVESTER, ORCHARD_HARVESTER, ArmSpec, Gripper

@@ -1,4 +1,4 @@
-"""Writes members of the robot family as a URDF and a limits YAML.
+"""Writes members of the robot family as URDF and limits file.
 
 A member has an optional yaw about the vertical, then n >= 1 revolute joints with parallel horizontal axes: a planar arm
 on a turret. `ArmSpec` specifies it, `write_robot` writes its two files, and `cross_check` compares the results of two
@@ -32,7 +32,7 @@ __all__ = ["HARVESTER", "ArmSpec", "CrossCheck", "cross_check", "load_member", "
 
 
 def write_robot(spec: ArmSpec, urdf_path: Path | str) -> tuple[Path, Path]:
-    """Write a family member's URDF, and its limits YAML to the same folder.
+    """Write a family member's URDF, and its limits next to it.
 
     Args:
         urdf_path: Path of the URDF in an existing folder; its suffix is `.urdf`.

@@ -19,7 +19,7 @@ _HALF_PI = math.pi / 2
 
 @dataclass(frozen=True)
 class Gripper(Options):
-    """A gripper at the end of the last link: a collision capsule that ends at `tool0`.
+    """A gripper: a collision capsule that ends at `tool0`.
 
     Attributes:
         mass: Its mass, distributed as a solid cylinder [kg].

@@ -1,4 +1,4 @@
-"""Generates the URDF and the limits file of a robot-family member as text."""
+"""Generates URDF and limits file of a family member as text."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class _Round(NamedTuple):
 def urdf_text(spec: ArmSpec) -> str:
     """Text of the member's URDF, in chain order; deterministic."""
     root = ET.Element("robot", name=spec.name)
-    words = f" {spec!r}, written by hplan.robot.family: do not edit, write it again "
+    words = f" {spec!r}, written by hplan.robot.family: do not edit, generate it again "
     root.append(ET.Comment(words))
     for name, color in _COLORS.items():
         ET.SubElement(ET.SubElement(root, "material", name=name), "color", rgba=color)
@@ -135,7 +135,7 @@ def _add_joint(
     place: tuple[float, float, float],
     axis: tuple[float, float, float],
 ) -> None:
-    """Add a joint: revolute if the spec has limits for it, else fixed."""
+    """Add a joint: revolute with limits in the specification, else fixed."""
     moves = name in spec.joint_names
     joint = ET.SubElement(root, "joint", name=name, type="revolute" if moves else "fixed")
     ET.SubElement(joint, "origin", xyz=_text(*place))
@@ -149,7 +149,7 @@ def _add_joint(
 
 
 def _nine(value: float) -> float:
-    """Round to nine digits, which hides binary rounding noise and no measurable mass."""
+    """Round to nine digits, which hides binary rounding noise."""
     return float(f"{value:.9g}")
 
 
@@ -159,7 +159,7 @@ def _text(*values: float) -> str:
 
 
 def limits_text(spec: ArmSpec) -> str:
-    """Text of the member's limits file, with the limits that URDF cannot express.
+    """Text of the member's limits file.
 
     Returns:
         The YAML document; deterministic.
@@ -171,4 +171,4 @@ def limits_text(spec: ArmSpec) -> str:
     if spec.jerk is not None:
         document["jerk_rad_s3"] = dict(zip(spec.joint_names, spec.jerk, strict=True))
     body: str = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100)
-    return f"# Limits of {spec.name} that URDF cannot hold. Written by hplan.robot.family.\n{body}"
+    return f"# Limits of {spec.name} that URDF cannot contain. Written by hplan.robot.family.\n{body}"

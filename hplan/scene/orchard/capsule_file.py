@@ -99,7 +99,7 @@ def _check(file: CsvFile, line: int, kind: str, numbers: list[float]) -> None:
         raise file.fault(line, "kind is empty, expected a word such as trunk or branch")
     for name, value in zip(_NUMBERS, numbers, strict=True):
         if abs(value) > FARTHEST:
-            raise file.fault(line, f"{name} is {value:g}, expected metres, {FARTHEST:g} at most")
+            raise file.fault(line, f"{name} is {value:g}, expected metres, at most {FARTHEST:g}")
     if not numbers[6] > 0.0:
         raise file.fault(line, f"radius is {numbers[6]:g}, expected a positive number")
     if (numbers[:3] == numbers[3:6]) != (kind == FRUIT):

@@ -117,7 +117,7 @@ def hang_fruits(wood: Sequence[Capsule], options: OrchardOptions, random: np.ran
         else:
             misses += 1
     if len(canopy.centers) < count:
-        raise OptionError("fruits", count, f"at most {len(canopy.centers)}, which found room in their zone")
+        raise OptionError("fruits", count, f"at most {len(canopy.centers)}, for which there was room in the zone")
     return canopy.fruits(options.picked)
 
 
@@ -170,7 +170,7 @@ def fruit_at_tips(
                     canopy.centers.append(place)
                     taken.add((number, spot))
     if len(canopy.centers) < count:
-        raise OptionError("count", count, f"at most {len(canopy.centers)}, which found room at these branches")
+        raise OptionError("count", count, f"at most {len(canopy.centers)}, for which there was room at these branches")
     return canopy.fruits()
 
 

@@ -95,7 +95,7 @@ def measured_orchard(
 def _nearest(fruits: Sequence[Fruit], options: MeasuredOptions) -> tuple[Fruit, ...]:
     """Select fruits of measured trees, nearest to the base's axis first."""
     if options.fruit_radius is not None:
-        raise OptionError("fruit_radius", options.fruit_radius, "none: the trees have fruit of their own")
+        raise OptionError("fruit_radius", options.fruit_radius, "no value: the measured trees have their own fruits")
     zone = options.fruit_zone
     found = [fruit for fruit in fruits if zone is None or zone.holds(*fruit.center)]
     found.sort(key=lambda fruit: (math.hypot(*fruit.center[:2]), fruit.center[2]))
@@ -158,7 +158,7 @@ def _scene(
         fruits = hung(fruits, obstacles, options.hangs_within)
     names = [fruit.name for fruit in fruits]
     if not names:
-        raise OptionError("fruits", 0, "at least one, to be the goal")
+        raise OptionError("fruits", 0, "at least one fruit, as the goal")
     if options.goal is not None and options.goal not in names:
         raise OptionError("goal", options.goal, f"one of the fruits, {names[0]} to {names[-1]}")
     return Scene(

@@ -82,7 +82,7 @@ class _Row(Options):
 
 @dataclass(frozen=True)
 class OrchardOptions(_Row):
-    """A tree row along y, at x = `distance` in front of the arm.
+    """A tree row along y, at x = `distance`.
 
     Wires run along the row through the trunks, from post to post; the posts are half a spacing beyond the outer trees.
     The defaults describe an apple orchard, with the harvester's fruit zone.
@@ -142,14 +142,14 @@ class OrchardOptions(_Row):
         super().__post_init__()
         heights = self.wire_heights
         if any(high <= low for low, high in itertools.pairwise(heights)):
-            raise OptionError("wire_heights", heights, "heights that increase")
+            raise OptionError("wire_heights", heights, "increasing heights")
         if self.form == "spindle" and self.first_branch >= self.tree_height:
             raise OptionError("first_branch", self.first_branch, f"less than the tree's height, {self.tree_height:g} m")
         if self.form == "trellis" and not any(height < self.tree_height for height in heights):
             raise OptionError("wire_heights", heights, f"a wire below the tree's height, {self.tree_height:g} m")
         picked = set(self.picked)
         if len(picked) < len(self.picked) or len(picked) == self.fruits or max(picked, default=0) > self.fruits:
-            expected = f"numbers from 1 to {self.fruits} that differ, and not all of them"
+            expected = f"different numbers from 1 to {self.fruits}, and not all of them"
             raise OptionError("picked", self.picked, expected)
 
 

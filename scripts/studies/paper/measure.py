@@ -109,8 +109,8 @@ class Reproduction:
 
     def as_dict(self) -> Row:
         """The numbers ready for JSON."""
-        told = {name: {key: run._asdict() for key, run in getattr(self, name).items()} for name in ("runs", "demo")}
-        return plain({"format": "hplan-reproduction/2", "environment": environment(), **vars(self), **told})  # type: ignore[no-any-return]
+        runs = {name: {key: run._asdict() for key, run in getattr(self, name).items()} for name in ("runs", "demo")}
+        return plain({"format": "hplan-reproduction/2", "environment": environment(), **vars(self), **runs})  # type: ignore[no-any-return]
 
 
 def measure(repetitions: int = 5, report: Callable[[str], None] = lambda _: None) -> tuple[Reproduction, Evidence]:
@@ -224,8 +224,8 @@ def markdown(r: Reproduction) -> str:
     empty = [""] * 3
 
     def each(name: str, text: Callable[[Run], str], paper: str | None = None) -> list[str]:
-        told = [text(run) for run in runs.values()]
-        return [name, *(told if paper is None else [paper, *told[1:]])]
+        cells = [text(run) for run in runs.values()]
+        return [name, *(cells if paper is None else [paper, *cells[1:]])]
 
     comparison = [
         ["dense A*: cost [deg]", f"{dense.cost:.6f}", f"{own.cost:.6f}", *empty[1:]],
@@ -250,17 +250,17 @@ def markdown(r: Reproduction) -> str:
         f"{r.without[1]:,} of them in the {r.without[0]} slices that have no path: with the second level "
         f"{runs['plain'].total / own.total:.2f} of the dense A*.",
         f"Link models: occupied of {r.nodes:,} nodes, slices with a path, dense A*, C-space [ms].",
-        _told(r.models),
+        _table_of(r.models),
         "What the text leaves open: the range of slices, and whether the whole first slice path or its first waypoint "
         "alone is carried back; the second level's cost, nodes of the layers, of the second level and of the union.",
-        _told(r.variants),
+        _table_of(r.variants),
         "The workspace demonstration, straight-line bound: cost in its own unit, points, expansions.",
         table(("", "cost", "points", "expansions"), demo),
     ]
     return "\n\n".join(block if isinstance(block, str) else "\n".join(block) for block in blocks) + "\n"
 
 
-def _told(rows: list[Row]) -> list[str]:
+def _table_of(rows: list[Row]) -> list[str]:
     """Rows as a table, with a column for each key."""
     cells = [
         [f"{v:.6f}" if isinstance(v, float) else f"{v:,}" if isinstance(v, int) else v for v in row.values()]

@@ -37,8 +37,8 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Mesh, PointCloud
 
-#: Kinds of obstacles; each scene has one.
-KINDS: Final = ("sphere", "capsule", "cylinder", "box", "mesh", "points", "fruits")
+#: Kinds of obstacles; each scene has one. Cylinders are polyhedra to the C-space, and slightly larger than for coal.
+KINDS: Final = ("sphere", "capsule", "box", "mesh", "points", "fruits")
 
 #: Maximum number of obstacles of a scene; number of fruits; half of the range of yaws of a scene; minimum distance of
 #: obstacles from the shoulder, where all configurations would collide; maximum clearance of half of the scenes [m].

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,7 +81,7 @@ def check(
     number("sigmas", sigmas, "a finite number >= 0", lambda value: value >= 0.0)
     values = numbers("q", q, (..., robot.dof), most=FARTHEST_JOINT)
     rows, shape = values.reshape(-1, robot.dof), values.shape[:-1]
-    checker = robot.cached("last checker", _LastChecker).of(robot, scene, sigmas)
+    checker = _checker(robot, scene, sigmas)
     found = [_looked_at(checker, row, scene.clearance, time_s) for row in rows]
     names = ["q" if not shape else f"q[{', '.join(map(str, index))}]" for index in np.ndindex(shape)]
     faults = [robot.limit_fault(row, name) for row, name in zip(rows, names, strict=True)]
@@ -95,18 +96,15 @@ def check(
     )
 
 
-class _LastChecker:
-    """Cache of the last collision checker, by scene and `sigmas`."""
-
-    def __init__(self) -> None:
-        self._kept: tuple[Scene, float, CoalScene] | None = None
-
-    def of(self, robot: Robot, scene: Scene, sigmas: float) -> CoalScene:
-        kept = self._kept
-        if kept is None or kept[0] is not scene or kept[1] != sigmas:
-            checker = checker_in_time(robot, scene, sigmas).covering(0.0, scene.clearance)
-            self._kept = kept = scene, sigmas, checker
-        return kept[2]
+def _checker(robot: Robot, scene: Scene, sigmas: float) -> CoalScene:
+    """The collision checker of a scene; the robot caches the last one."""
+    kept: deque[tuple[Scene, float, CoalScene]] = robot.cached("last checker", lambda: deque(maxlen=1))
+    for known, growth, checker in tuple(kept):
+        if known is scene and growth == sigmas:
+            return checker
+    checker = checker_in_time(robot, scene, sigmas).covering(0.0, scene.clearance)
+    kept.append((scene, sigmas, checker))
+    return checker
 
 
 def _looked_at(

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hplan.planning.timetable import _soonest
+from hplan.workcell.timetable import _soonest
 
 
 def least_steps(clear, first, then) -> int | None:

@@ -11,10 +11,10 @@ import numpy as np
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.deadline import check_deadline
 from hplan.base.kernels import kernel
-from hplan.planning.cell import Cell, between
 from hplan.planning.options import PlanOptions
 from hplan.trajectory.cubics import Rows
 from hplan.trajectory.trajectory import Trajectory, joined
+from hplan.workcell.cell import Cell, between
 
 #: Sampling strides for distance queries, coarse first, until a pair is too close.
 _COARSE: Final = (32, 4, 1)

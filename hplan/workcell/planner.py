@@ -36,16 +36,16 @@ from hplan.errors import (
     PlanCancelledError,
     TimingError,
 )
-from hplan.planning.cell import Cell, CellResult, How, between, certify_cell, check_options, standing
 from hplan.planning.finish import finish
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
 from hplan.planning.stages import Progress, no_progress
-from hplan.planning.timetable import SPARES, Timetable
 from hplan.planning.world import check_clear
 from hplan.scene.model import Goal, Scene
 from hplan.trajectory.trajectory import Trajectory, joined, stopped
+from hplan.workcell.cell import Cell, CellResult, How, between, certify_cell, check_options, standing
+from hplan.workcell.timetable import SPARES, Timetable
 
 #: Maximum number of orders to certify, fastest first.
 _TRIED: Final = 3
@@ -219,7 +219,7 @@ class _CellPlanner:
         # Other grasps might work; goals given as joints leave no alternative.
         chosen = any(result.grasp for result in self._alone.values())
         if chosen and isinstance(error, ConfigurationInCollisionError) and error.which == "goal":
-            grasps = f"the grasps of each arm by itself, with which {error.link!r} is in {error.obstacle!r}"
+            grasps = f"the grasps of each arm alone, with which {error.link!r} is in {error.obstacle!r}"
             return NotFoundError([*_WAYS, grasps])
         return error
 

@@ -28,14 +28,14 @@ from hplan.errors import (
     PlanCancelledError,
     SceneError,
 )
-from hplan.planning.cell import Cell, certify_cell, load_cell
-from hplan.planning.cell_planner import _CellPlanner, plan_cell, replan_cell
 from hplan.planning.options import PlanOptions
 from hplan.robot.several import joined_robots
 from hplan.scene.cell import CellRobot, CellScene
 from hplan.scene.file import load_scene
 from hplan.scene.model import Fruit, Goal, Start
 from hplan.scene.obstacles import Sphere
+from hplan.workcell.cell import Cell, certify_cell, load_cell
+from hplan.workcell.planner import _CellPlanner, plan_cell, replan_cell
 
 FROM, TO = (-40.0, 60.0, 60.0, 60.0), (40.0, 60.0, 60.0, 60.0)
 
@@ -144,7 +144,7 @@ def test_one_begins_later_where_that_is_all_there_is(robot, monkeypatch, error):
     def none(*_):
         raise error
 
-    monkeypatch.setattr("hplan.planning.cell_planner._CellPlanner._around", none)
+    monkeypatch.setattr("hplan.workcell.planner._CellPlanner._around", none)
     result = plan_cell(facing(robot, 1.1, start=FROM, goal=TO))
     assert result.certificate.verified
     assert result.how == "one later"
@@ -159,7 +159,7 @@ def test_arms_avoid_resting_arms_and_make_room(robot, monkeypatch, right):
     def none(*_):
         raise CertificationError("none")
 
-    monkeypatch.setattr("hplan.planning.cell_planner._CellPlanner._around", none)
+    monkeypatch.setattr("hplan.workcell.planner._CellPlanner._around", none)
     result = plan_cell(facing(robot, 0.8, **right))
     assert result.certificate.verified
     assert apart(result.cell, every(result.trajectory)) > 0.0
@@ -240,7 +240,7 @@ def test_all_stop_where_time_is_up(robot, monkeypatch):
         raise TimeIsUpError
 
     result = plan_cell(facing(robot, 1.1))
-    monkeypatch.setattr("hplan.planning.cell_planner.Timetable.set_out", late)
+    monkeypatch.setattr("hplan.workcell.planner.Timetable.set_out", late)
     stop = replan_cell(result, 0.5, "left")
     assert stop.certificate.verified
     assert stop.stopped == ("left", "right")
@@ -311,13 +311,13 @@ def test_files(write):
     assert cell.arm("right").drop_off.position == cell.arm("right").scene.goal.position
     assert (cell.arm("left").drop_off, cell.arm("right").every) == (None, 1)
     assert plan_cell(cell).certificate.verified
-    with pytest.raises(SceneError, match="several robots: load_cell reads it"):
+    with pytest.raises(SceneError, match="several robots: read it with load_cell"):
         load_scene(write("same.yaml", YAML))
     with pytest.raises(SceneError, match=r"robots: .*missing"):
         load_cell(write("one.yaml", "format: hplan-scene/1\nname: s\n"))
     with pytest.raises(SceneError, match=r"line 7, robots\[1\].name"):
         load_cell(write("names.yaml", YAML.replace("name: right", "name: left")))
-    with pytest.raises(SceneError, match=r"robots\[1\].drop_off.fruit: fruit is let go"):
+    with pytest.raises(SceneError, match=r"robots\[1\].drop_off.fruit: a drop-off is given by joints"):
         load_cell(write("drop.yaml", YAML.replace("drop_off: {position: [2.0, 0.3, 1.2]}", "drop_off: {fruit: a}")))
     with pytest.raises(SceneError, match=r"robots\[0\].goal"):
         load_cell(write("goal.yaml", YAML.replace("goal: {joints_deg: [40, 60, 60, 60]}", "goal: {fruit: none}")))
@@ -325,7 +325,7 @@ def test_files(write):
 
 def test_wrong_values(robot):
     cell = facing(robot, 3.0)
-    with pytest.raises(InputError, match="there is none for 'right'"):
+    with pytest.raises(InputError, match="there is no robot for arm 'right'"):
         Cell.of(cell.scene, {"left": robot})
     with pytest.raises(OptionError, match="cell"):
         plan_cell(cell.scene)

@@ -143,7 +143,7 @@ class Cell(Record):
         instance("scene", scene, CellScene, "load_cell")
         for arm in scene.robots:
             if not isinstance(robots.get(arm.name), Robot):
-                raise InputError(f"robots: there is none for {arm.name!r}", robot=arm.name)
+                raise InputError(f"robots: there is no robot for arm {arm.name!r}", robot=arm.name)
         placed = {arm.name: (robots[arm.name], _placement(arm)) for arm in scene.robots}
         key = tuple((name, robot, place.homogeneous.tobytes()) for name, (robot, place) in placed.items())
         declared = [(first, second, BY_SCENE) for first, second in scene.may_touch]
@@ -225,7 +225,7 @@ class Cell(Record):
         end_s = max((motion.duration for motion in motions.values()), default=0.0)
         for name, motion in motions.items():
             if motion.duration < end_s and (moving := _end_in_motion(name, motion)):
-                raise InputError(f"{moving}, and the others go on: where it is then is not known", arm=name)
+                raise InputError(f"{moving}, and the others go on: its position after that is unknown", arm=name)
         rows = {name: motion.rows for name, motion in motions.items()}
         times = np.unique(np.concatenate([np.zeros(1), *(own.time for own in rows.values())]))
         clock = times[np.concatenate([[True], np.diff(times) > _SAME_S])]
@@ -274,7 +274,7 @@ class Cell(Record):
             InputError: The motion is not one of all joints of the workcell.
         """
         if motion.joint_names != self.robot.joint_names:
-            raise InputError(f"the motion moves {', '.join(motion.joint_names)}; it is none of the cell's")
+            raise InputError(f"the motion moves {', '.join(motion.joint_names)}; it is not a motion of the workcell")
         found, (time, q, v, a, torque) = {}, motion.rows
         for arm in self.arms:
             own = (values[:, arm.joints] for values in (q, v, a, torque))
@@ -491,10 +491,12 @@ def certify_cell(
     elif isinstance(motion, Mapping) and motion:
         files = {name: cell.own_motion(name, own) for name, own in motion.items()}
     else:
-        raise OptionError("motion", motion, "a trajectory of all joints, or one of each arm by its name")
+        raise OptionError(
+            "motion", motion, "a trajectory of all joints, or a mapping from each arm's name to its trajectory"
+        )
     for option, by_arm in (("goal_contact", goal_contact), ("contacts", contacts)):
         if not isinstance(by_arm, Mapping | None):
-            raise OptionError(option, by_arm, "a mapping by the names of arms")
+            raise OptionError(option, by_arm, "a mapping from names of arms")
         for name in by_arm or {}:
             cell.arm(name)
     files = {arm.name: files.get(arm.name) or _standing_still(arm) for arm in cell.arms}
@@ -558,7 +560,7 @@ def _not_compared(
     known_s, end_s = span_s
     if known_s < end_s:
         ends = "; ".join(_end_in_motion(name, files[name]) for name in moving if files[name].duration == known_s)
-        yield f"{ends}; where it is then is not known, and others go on until {end_s:.6g} s"
+        yield f"{ends}; its position after that is unknown, and others go on until {end_s:.6g} s"
     if not all((np.abs(values) <= FARTHEST_JOINT).all() for values in states[:2]):
         yield f"joints go, or move, beyond {FARTHEST_JOINT:.3g} rad, and are not followed there"
 
@@ -593,7 +595,7 @@ def _meetings_at_rest(own: Certificate, arrives_s: float, end_s: float) -> Itera
     """Message if an obstacle reaches an arm that has arrived early."""
     if own.clear_until_s is not None and arrives_s < end_s and own.clear_until_s < end_s:
         yield (
-            f"where it rests from {arrives_s:.6g} s on it is clear until {own.clear_until_s:.6g} s, "
+            f"at rest from {arrives_s:.6g} s on, it is clear until {own.clear_until_s:.6g} s, "
             f"and other arms move until {end_s:.6g} s"
         )
 

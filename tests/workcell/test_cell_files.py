@@ -13,9 +13,6 @@ import pytest
 from hplan import certify, load_robot, plan, read_csv, write_csv
 from hplan.apps.cli.main import main
 from hplan.errors import HplanError, InputError, OptionError, SceneError
-from hplan.planning import cell as cells
-from hplan.planning.cell import Cell, certify_between, certify_cell, load_cell
-from hplan.planning.cell_planner import plan_cell
 from hplan.planning.options import PlanOptions
 from hplan.scene.cell import CellRobot, CellScene
 from hplan.scene.model import Goal, Start
@@ -24,6 +21,9 @@ from hplan.scene.tracks import Track
 from hplan.tour.cell_tour import plan_cell_tour
 from hplan.trajectory.cubics import evaluate
 from hplan.trajectory.trajectory import Trajectory
+from hplan.workcell import cell as cells
+from hplan.workcell.cell import Cell, certify_between, certify_cell, load_cell
+from hplan.workcell.planner import plan_cell
 
 FROM, TO = (0.0, 60.0, 20.0, 20.0), (30.0, 60.0, 20.0, 20.0)
 QUICK = PlanOptions(effort="quick")
@@ -160,7 +160,7 @@ def test_who_ends_in_motion_before_another_is_compared_up_to_there(picker, speed
         assert np.ptp(after, axis=0).max() < 1e-15
         return
     assert merged.duration == 2.0
-    message = "the motion of arm 'left' ends at 2 s with joint 'base_yaw' at a speed of 0.2; where it is then is not"
+    message = "the motion of arm 'left' ends at 2 s with joint 'base_yaw' at a speed of 0.2; its position after that is"
     assert any(message in each for each in found.between.violations)
     with pytest.raises(InputError, match="ends at 2 s with joint 'base_yaw'"):
         cell.together({"left": short, "right": long})
@@ -207,7 +207,7 @@ def test_obstacle_that_comes_to_an_arm_that_has_arrived_is_seen(picker):
     assert certify_cell(cell, {"left": short, "right": right}).verified
     found = certify_cell(cell, {"left": short, "right": replace(foreign(picker, 6.0), joint_names=names)})
     assert not found.verified
-    assert any("where it rests from 3 s on it is clear until 4." in message for message in found.violations)
+    assert any("at rest from 3 s on, it is clear until 4." in message for message in found.violations)
 
 
 YAML = """\
@@ -250,7 +250,7 @@ def test_command_judges_files_as_given(picker, write, tmp_path, capsys):
     lines = write_csv(good, file).read_text().splitlines()
     tampered = {
         "nan": (2, lines[2].replace(lines[2].split(",")[1], "nan")),
-        "no later than": (3, lines[2]),
+        "not later than": (3, lines[2]),
         "expected the columns": (0, lines[0].replace("time_s", "time")),
         "expected 0 in the first sample": (1, "0.5" + lines[1][lines[1].index(",") :]),
         "the robot has|the arm has": (0, lines[0].replace("base_yaw", "other")),
@@ -361,7 +361,7 @@ def test_links_that_touch_by_design_are_declared_and_reported(write, tmp_path, c
     ("pair", "message"),
     [
         ("[[a, base_link], [c, base_link]]", "'c' is not among the robots"),
-        ("[[a, base_link], [a, arm]]", "both links are of 'a'"),
+        ("[[a, base_link], [a, arm]]", "both links belong to 'a'"),
         ("[[a, base_link], [b, plate]]", "'plate' is not a link of arm 'b'"),
         ("[[a, base_link]]", "may_touch"),
     ],

@@ -35,7 +35,6 @@ STUDIES = {
     "grazing": "validation.grazing:GRAZING",
     "yielding": "validation.compliance:YIELDING",
     "soak": "validation.soak:SOAK",
-    "clutter": "planar:CLUTTER",
     "trees": "trees:TREES",
     "tours": "trees:TOURS",
     "fastest": "fastest:FASTEST",

@@ -20,6 +20,9 @@ BoolArray: TypeAlias = NDArray[np.bool_]
 WordArray: TypeAlias = NDArray[np.uint64]
 ComplexArray: TypeAlias = NDArray[np.complex128]
 
+#: A structured array: kernels read a field of a row as an attribute, NumPy a whole column by its name.
+TableArray: TypeAlias = np.ndarray[Any, np.dtype[Any]]
+
 _T = TypeVar("_T", bound=np.generic)
 
 #: A `repr` shows arrays and lists with more items by their sizes.

@@ -37,14 +37,13 @@ from typing import Final
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray, IntArray
+from hplan.base.arrays import FloatArray, IntArray, TableArray
 from hplan.base.kernels import kernel
-from hplan.collision import flat_bodies as flat
 from hplan.collision.arm_pairs import ArmParts, arm_parts
 from hplan.collision.coal_scene import CoalScene
-from hplan.collision.flat_bodies import joints_alone
+from hplan.collision.flat_bodies import joint_table
 from hplan.collision.placed_bodies import place_joints
-from hplan.geometry.vectors import cross, dot, moved_on, placed_point, sub, turned
+from hplan.geometry.vectors import cross, dot, moved_on, placed_point, sub, turned, vector_of
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.limits import FARTHEST_M
@@ -167,7 +166,7 @@ def motion_of_movers(
     parts, robot = checker.parts, checker.robot
     of_bodies, reaches = _reaches(parts, deviations)
     starts, motion = _together(np.ascontiguousarray(bezier), _TOGETHER, _TURN)
-    travels = _travels(motion, of_bodies, parts.rows, joints_alone(robot), *parts.travellers, parts.alike)
+    travels = _travels(motion, of_bodies, parts.rows, joint_table(robot), *parts.travellers, parts.alike)
     nearer = np.zeros((len(travels), len(deviations)))
     np.maximum.at(nearer, parts.alike, reaches @ deviations.T)
     pieces = np.diff(starts, append=len(bezier))
@@ -236,7 +235,7 @@ def _together(bezier: FloatArray, most: int, turn: float) -> tuple[IntArray, Flo
 
 @kernel
 def _travels(
-    motion: FloatArray, reach: FloatArray, bodies: FloatArray, numbers: FloatArray,
+    motion: FloatArray, reach: FloatArray, bodies: FloatArray, joints: TableArray,
     slots: IntArray, both: IntArray, alike: IntArray,
 ) -> FloatArray:  # fmt: skip
     """(movers, pieces) travel bound of each moving body within each segment [m].
@@ -245,7 +244,7 @@ def _travels(
         motion: Joint motion, from `_together`.
         reach: (bodies, dof) motion-bound coefficients R.
         bodies: Bodies, as in `ArmParts.rows`.
-        numbers: Joint numbers from `joints_alone`.
+        joints: Joints from `joint_table`.
         slots: First array of `ArmParts.travellers`.
         both: Second array of `ArmParts.travellers`.
         alike: Moving body of each traveller, as in `ArmParts.alike`.
@@ -253,18 +252,17 @@ def _travels(
     _, pieces, dof = motion.shape
     # Taken out one by one they are known to be contiguous; rows of an unpacked array are not.
     middles, rates, paces, uneven = motion[0], motion[1], motion[2], motion[3]
-    joints = int(numbers[flat.JOINTS])
     frames, axes, moved = np.empty((dof + 1, 12)), np.empty((dof, 3)), np.zeros((slots.max() + 1, pieces))
     slides = np.empty(dof, dtype=np.bool_)
     for piece in range(pieces):
-        place_joints(middles[piece], numbers, frames)
+        place_joints(middles[piece], joints, frames)
         for j in range(dof):
-            own = joints + flat.JOINT_SIZE * j
-            f, c = frames[j], own + flat.TURN
-            slides[j] = numbers[c] == 0.0 and numbers[c + 1] == 0.0 and numbers[c + 2] == 0.0
+            joint = joints[j]
+            f, axis = frames[j], vector_of(joint.axis)
+            slides[j] = joint.slides
             if slides[j]:
-                f, c = frames[int(numbers[own + flat.PARENT])], own + flat.SHIFT
-            axes[j] = turned(f, (numbers[c], numbers[c + 1], numbers[c + 2]))
+                f, axis = frames[joint.parent], vector_of(joint.shift)
+            axes[j] = turned(f, axis)
         for b in range(len(reach)):
             j, outer, total, bent, turn, speed = int(bodies[b, 0]), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
             at = placed_point(frames[j], bodies[b], 1)
@@ -284,7 +282,7 @@ def _travels(
                 if slots[b, j] >= 0:
                     together = math.sqrt(dot(speed, speed)) + math.sqrt(dot(turn, turn)) * bodies[b, 4] + bent
                     moved[slots[b, j], piece] = together if together < total else total
-                j = int(numbers[joints + flat.JOINT_SIZE * j + flat.PARENT])
+                j = joints[j].parent
     travels = np.zeros((alike.max() + 1 if len(alike) else 0, pieces))
     for mover in range(len(both)):
         one, other, travel = both[mover, 0], both[mover, 1], travels[alike[mover]]

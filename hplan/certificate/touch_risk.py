@@ -44,15 +44,15 @@ from typing import Final
 import numpy as np
 import pinocchio as pin
 
-from hplan.base.arrays import FloatArray, frozen
+from hplan.base.arrays import FloatArray, TableArray, frozen
 from hplan.base.deadline import check_deadline
 from hplan.base.kernels import any_int, kernel
 from hplan.certificate.clearance_curve import ProvedMotion, ProvedStretch, Subject
 from hplan.certificate.clearance_proof import Advancement, place_after, point_at
 from hplan.certificate.touch_estimate import TouchEstimate, touch_estimate
-from hplan.collision import flat_bodies as flat
 from hplan.collision.body_kernels import pose_of
 from hplan.collision.coal_scene import CoalScene
+from hplan.collision.flat_bodies import joint_table
 from hplan.collision.placed_bodies import place_joints
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.convex_distance import SEPARATING, WORK, Wanted, core_distance
@@ -71,9 +71,30 @@ _STEP: Final = 0.03
 #: Gap below which an obstacle counts as touched [m]; maximum number of half-spaces in a segment.
 _LEAST, _MOST = 1e-6, any_int(2_000_000)
 
-#: Columns of a moving shape, then of a part of an obstacle: start and end index of its points, radius; then joint and
-#: displacement bound of the shape, or the gap above which the part is far.
-_FIRST, _LAST, _RADIUS, _JOINT, _SWAY, _FARTHEST = 0, 1, 2, 3, 4, 3
+#: Columns of a moving shape: start and end index of its points, radius, joint and displacement bound.
+_SHAPE = np.dtype(
+    [
+        ("first", np.int64),
+        ("last", np.int64),
+        ("radius", np.float64),
+        ("joint", np.int64),
+        ("sway", np.float64),
+    ],
+    align=True,
+)
+
+#: Columns of a part of an obstacle: start and end index of its points, radius, the gap above which it is far, and the
+#: index of its solid.
+_PART = np.dtype(
+    [
+        ("first", np.int64),
+        ("last", np.int64),
+        ("radius", np.float64),
+        ("far", np.float64),
+        ("solid", np.int64),
+    ],
+    align=True,
+)
 
 #: Columns of a half-space: the obstacle (the part, in the kernel), the direction from it to the arm, the gap.
 _OBSTACLE, _NORMAL, _GAP = 0, 1, 4
@@ -193,45 +214,44 @@ def _of_stretch(
         # Nothing is known about it: each obstacle may be touched.
         touched = np.unique(obstacle[obstacle >= 0])
         return np.column_stack([touched, np.zeros((len(touched), 4))])
-    bodies, parts, numbers = _numbers_of(robot, checker, far)
+    bodies, parts, points = _tables_of(checker, far)
     (sway, travel), first = search.movers, search.mover_of[:: len(solids)][: len(shapes)]
-    bodies[:, _SWAY] = sway[first].max(axis=1)
-    solid_of = parts[:, -1].astype(np.int64)
+    bodies["sway"] = sway[first].max(axis=1)
+    solid_of = parts["solid"]
     allowed = np.ascontiguousarray(depths[:, solid_of])
-    rows = _half_spaces(np.ascontiguousarray(bezier), numbers, bodies, travel[first], parts, allowed)
+    arm = joint_table(robot), points, bodies, parts
+    rows = _half_spaces(np.ascontiguousarray(bezier), *arm, travel[first], allowed)
     rows[:, _OBSTACLE] = obstacle[solid_of[rows[:, _OBSTACLE].astype(np.int64)]]
     return rows
 
 
-def _numbers_of(robot: Robot, checker: CoalScene, far: dict[str, float]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Moving shapes, parts of uncertain obstacles, and the numbers of both.
-
-    The last column of a part is the index of its solid.
-    """
+def _tables_of(checker: CoalScene, far: dict[str, float]) -> tuple[TableArray, TableArray, FloatArray]:
+    """Moving shapes, parts of uncertain obstacles, and the points of both."""
     shapes, solids, _ = checker.meetings
-    numbers = [flat.joints_alone(robot)]
-    end = len(numbers[0])
+    points, count = [np.zeros(0)], 0
 
-    def placed(points: FloatArray) -> tuple[int, int]:
-        nonlocal end
-        numbers.append(points.ravel())
-        end += points.size
-        return end - points.size, end
+    def placed(corners: FloatArray) -> tuple[int, int]:
+        nonlocal count
+        points.append(corners.ravel())
+        count += corners.size
+        return count - corners.size, count
 
-    bodies = np.zeros((len(shapes), 5))
-    for row, shape in enumerate(shapes):
-        points, radius = outline(shape, rim_from_outside=True)
+    bodies = np.zeros(len(shapes), _SHAPE)
+    for row, shape in zip(bodies, shapes, strict=True):
+        corners, row["radius"] = outline(shape, rim_from_outside=True)
         at: pin.SE3 = shape.placement
-        bodies[row, :_SWAY] = *placed(points @ at.rotation.T + at.translation), radius, shape.parentJoint - 1
-    parts = [np.zeros((0, 5))]
+        row["first"], row["last"] = placed(corners @ at.rotation.T + at.translation)
+        row["joint"] = shape.parentJoint - 1
+    parts = [np.zeros(0, _PART)]
     for number, solid in enumerate(solids):
         if far.get(solid.name, 0.0) > 0.0:
             begin, last = placed(solid.core)
             firsts = np.arange(begin, last, 3 if isinstance(solid, Cloud) else last - begin)
-            each = np.full(len(firsts), 1.0)
-            lasts = np.append(firsts[1:], last)
-            parts.append(np.column_stack([firsts, lasts, *np.outer([solid.rounding, far[solid.name], number], each)]))
-    return bodies, np.concatenate(parts), np.concatenate(numbers)
+            rows = np.zeros(len(firsts), _PART)
+            rows["first"], rows["last"] = firsts, np.append(firsts[1:], last)
+            rows["radius"], rows["far"], rows["solid"] = solid.rounding, far[solid.name], number
+            parts.append(rows)
+    return bodies, np.concatenate(parts), np.concatenate(points)
 
 
 def _root(covariance: FloatArray) -> FloatArray:
@@ -360,8 +380,8 @@ def beyond_sigmas(sigmas: float) -> float:
 
 @kernel
 def _half_spaces(
-    bezier: FloatArray, numbers: FloatArray, bodies: FloatArray, travels: FloatArray, parts: FloatArray,
-    allowed: FloatArray,
+    bezier: FloatArray, joints: TableArray, points: FloatArray, bodies: TableArray, parts: TableArray,
+    travels: FloatArray, allowed: FloatArray,
 ) -> FloatArray:  # fmt: skip
     """(k, 5) half-spaces that cover each pair's times, except far ones.
 
@@ -369,24 +389,25 @@ def _half_spaces(
 
     Args:
         bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
-        numbers: Head, joints, and points of bodies and parts.
-        bodies: (bodies, 5) rows of moving shapes.
+        joints: Joints from `hplan.collision.flat_bodies.joint_table`.
+        points: Points of bodies and parts.
+        bodies: Moving shapes.
+        parts: Parts of obstacles.
         travels: (bodies, pieces + 1) upper bound of each body's travel up to each sample [m].
-        parts: (parts, 5) rows of parts of obstacles.
         allowed: (bodies, parts) allowed deflection of each pair [m]; infinite for a pair that is not checked.
     """
     dof, rows = bezier.shape[2], float(bezier.shape[0])
     frames, work = np.empty((dof + 1, 12)), np.zeros(WORK)
     found, count = np.empty((256, 5)), 0
     for b in range(len(bodies)):
-        span, joint = (int(bodies[b, _FIRST]), int(bodies[b, _LAST]), 0), int(bodies[b, _JOINT])
-        travel = travels[b]
+        body, travel = bodies[b], travels[b]
+        span = body.first, body.last, 0
         for p in range(len(parts)):
             if allowed[b, p] == math.inf:
                 continue
-            other = (int(parts[p, _FIRST]), int(parts[p, _LAST]), 0)
-            radii, far = bodies[b, _RADIUS] + parts[p, _RADIUS], parts[p, _FARTHEST]
-            beyond = radii + bodies[b, _SWAY] - allowed[b, p]
+            part = parts[p]
+            other, radii, far = (part.first, part.last, 0), body.radius + part.radius, part.far
+            beyond = radii + body.sway - allowed[b, p]
             for c in range(WORK):
                 work[c] = 0.0
             place, back, going = 0.0, 0.0, True
@@ -394,9 +415,9 @@ def _half_spaces(
                 row = min(int(place), len(travel) - 2)
                 now = travel[row] + (place - row) * (travel[row + 1] - travel[row])
                 left = max(0.0, travel[len(travel) - 1] - now)
-                place_joints(point_at(bezier, place), numbers, frames)
+                place_joints(point_at(bezier, place), joints, frames)
                 wanted = Wanted(math.inf, 0.0, 1e-4, radii, STILL)
-                gap = core_distance(numbers, span, pose_of(frames, joint), numbers, other, wanted, work) - beyond
+                gap = core_distance(points, span, pose_of(frames, body.joint), points, other, wanted, work) - beyond
                 x, y, z = work[SEPARATING], work[SEPARATING + 1], work[SEPARATING + 2]
                 length = math.sqrt(x * x + y * y + z * z)
                 loss, step = back, 0.0

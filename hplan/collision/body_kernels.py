@@ -21,18 +21,18 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray, IntArray
+from hplan.base.arrays import FloatArray, IntArray, TableArray
 from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision import flat_bodies as flat
 from hplan.collision import obstacle_rows as row
 from hplan.collision.obstacle_rows import FieldArrays
-from hplan.collision.placed_bodies import ALONG, CENTRE, PLACED, START, place_bodies
+from hplan.collision.placed_bodies import PLACED, place_bodies
 from hplan.geometry.convex_distance import NEAREST, ON_FIRST, WORK, Span, Wanted, core_distance
 from hplan.geometry.penetration import penetration
 from hplan.geometry.segment_distance import off_box, off_segment, point_segment
 from hplan.geometry.sweep import STILL
-from hplan.geometry.vectors import Pose, Vector, dot, sub, turned_back
+from hplan.geometry.vectors import Pose, Vector, dot, sub, turned_back, vector_of
 
 _FIRST_ROW = any_int(0)
 
@@ -57,21 +57,25 @@ class BodyArrays(NamedTuple):
     """An arm among obstacles, with the buffers of the kernels.
 
     Attributes:
-        movers: Moving bodies, as in `hplan.collision.flat_bodies.FlatBodies`.
-        numbers: Joint and hull data, as in `hplan.collision.flat_bodies.FlatBodies`.
+        bodies: Moving bodies, as in `hplan.collision.flat_bodies.FlatBodies`.
+        pairs: Self-collision pairs, as in `hplan.collision.flat_bodies.FlatBodies`.
+        joints: Joints, as in `hplan.collision.flat_bodies.FlatBodies`.
+        points: Corners of the bodies, as in `hplan.collision.flat_bodies.FlatBodies`.
         solids: Obstacle rows, as in `hplan.collision.clearance_field.ClearanceField`.
         data: Corners of hulls and points of clouds, as in `hplan.collision.clearance_field.ClearanceField`.
-        placed: (bodies, PLACED) placements of the bodies.
+        placed: (bodies,) rows of `PLACED`, placements of the bodies.
         frames: (dof + 1, 12) frames of joints and base; (dof + 1, MOVING) with their twists for an arm in motion.
         work: (WORK + 6,) buffer. Its last six numbers are the direction from the nearest obstacle to the body, and the
             body's point nearest to that obstacle.
     """
 
-    movers: FloatArray
-    numbers: FloatArray
-    solids: FloatArray
+    bodies: TableArray
+    pairs: TableArray
+    joints: TableArray
+    points: FloatArray
+    solids: TableArray
     data: FloatArray
-    placed: FloatArray
+    placed: TableArray
     frames: FloatArray
     work: FloatArray
 
@@ -79,10 +83,11 @@ class BodyArrays(NamedTuple):
 @kernel
 def _placed_arm(q: FloatArray, field: FieldArrays) -> BodyArrays:
     """Return the arrays of the arm placed at a configuration."""
-    movers, numbers, solids, data = field.movers, field.numbers, field.solids, field.data
-    placed, frames = np.empty((int(numbers[flat.BODIES]), PLACED)), np.empty((len(q) + 1, 12))
-    place_bodies(q, movers, numbers, frames, placed)
-    return BodyArrays(movers, numbers, solids, data, placed, frames, np.empty(WORK + 6))
+    bodies, joints = field.bodies, field.joints
+    placed, frames = np.empty(len(bodies), PLACED), np.empty((len(q) + 1, 12))
+    place_bodies(q, bodies, joints, frames, placed)
+    work = np.empty(WORK + 6)
+    return BodyArrays(bodies, field.pairs, joints, field.points, field.solids, field.data, placed, frames, work)
 
 
 @inlined
@@ -95,9 +100,10 @@ def pose_of(frames: FloatArray, j: int) -> Pose:
 
 
 @inlined
-def span_of(movers: FloatArray, b: int) -> Span:
+def span_of(bodies: TableArray, b: int) -> Span:
     """Index range and corner table of a body's points."""
-    return int(movers[b, flat.FIRST]), int(movers[b, flat.LAST]), int(movers[b, flat.TABLE])
+    body = bodies[b]
+    return body.first, body.last, body.table
 
 
 @inlined
@@ -122,27 +128,26 @@ def difference(frames: FloatArray, j: int, i: int) -> Pose:
 
 
 @inlined
-def segment_of(placed: FloatArray, b: int) -> tuple[Vector, Vector]:
+def segment_of(placed: TableArray, b: int) -> tuple[Vector, Vector]:
     """Start and vector of a body's axis segment."""
-    return (
-        (placed[b, START], placed[b, START + 1], placed[b, START + 2]),
-        (placed[b, ALONG], placed[b, ALONG + 1], placed[b, ALONG + 2]),
-    )
+    start, along = placed[b].start, placed[b].along
+    return (start[0], start[1], start[2]), (along[0], along[1], along[2])
 
 
 @kernel
-def off_row(placed: FloatArray, b: int, solids: FloatArray, s: int) -> Shown:
+def off_row(placed: TableArray, b: int, solids: TableArray, s: int) -> Shown:
     """Vector from a primitive (point, segment, box) to a body's axis segment.
 
     The last value is the separation of the two along that vector. It is a lower bound of the distance even if rounding
     errors move the end of the vector off the nearest point.
     """
     start, along = segment_of(placed, b)
-    first = (solids[s, row.SHAPE], solids[s, row.SHAPE + 1], solids[s, row.SHAPE + 2])
-    if solids[s, row.KIND] != row.BOX:
+    solid = solids[s]
+    if solid.kind != row.BOX:
+        first = vector_of(solid.start)
         second = first
-        if solids[s, row.KIND] == row.SEGMENT:
-            second = (solids[s, row.SECOND_END], solids[s, row.SECOND_END + 1], solids[s, row.SECOND_END + 2])
+        if solid.kind == row.SEGMENT:
+            second = vector_of(solid.end)
         x, y, z, t = off_segment(start, along, first, sub(second, first))
         length = math.sqrt(x * x + y * y + z * z)
         if not length > 0.0:
@@ -150,17 +155,16 @@ def off_row(placed: FloatArray, b: int, solids: FloatArray, s: int) -> Shown:
         low, slope = x * start[0] + y * start[1] + z * start[2], x * along[0] + y * along[1] + z * along[2]
         high = max(x * first[0] + y * first[1] + z * first[2], x * second[0] + y * second[1] + z * second[2])
         return x, y, z, t, (low + min(0.0, slope) - high) / length
-    off = (start[0] - solids[s, row.CENTRE], start[1] - solids[s, row.CENTRE + 1], start[2] - solids[s, row.CENTRE + 2])
-    right = (solids[s, row.AXES], solids[s, row.AXES + 1], solids[s, row.AXES + 2])
-    ahead = (solids[s, row.AXES + 3], solids[s, row.AXES + 4], solids[s, row.AXES + 5])
-    up = (solids[s, row.AXES + 6], solids[s, row.AXES + 7], solids[s, row.AXES + 8])
+    half, axes = vector_of(solid.half), solid.axes
+    off = sub(start, vector_of(solid.centre))
+    right, ahead, up = (axes[0], axes[1], axes[2]), (axes[3], axes[4], axes[5]), (axes[6], axes[7], axes[8])
     seen, way = (dot(off, right), dot(off, ahead), dot(off, up)), (dot(along, right), dot(along, ahead), dot(along, up))
-    x, y, z, t = off_box(seen, way, first)
+    x, y, z, t = off_box(seen, way, half)
     length = math.sqrt(x * x + y * y + z * z)
     if not length > 0.0:
         return 0.0, 0.0, 0.0, t, 0.0
     low, slope = x * seen[0] + y * seen[1] + z * seen[2], x * way[0] + y * way[1] + z * way[2]
-    high = abs(x) * first[0] + abs(y) * first[1] + abs(z) * first[2]
+    high = abs(x) * half[0] + abs(y) * half[1] + abs(z) * half[2]
     return (
         x * right[0] + y * ahead[0] + z * up[0],
         x * right[1] + y * ahead[1] + z * up[1],
@@ -171,7 +175,7 @@ def off_row(placed: FloatArray, b: int, solids: FloatArray, s: int) -> Shown:
 
 
 @kernel
-def off_body(placed: FloatArray, j: int, i: int) -> Shown:
+def off_body(placed: TableArray, j: int, i: int) -> Shown:
     """Vector from body i's axis segment to body j's.
 
     Values and guarantee as for `off_row`.
@@ -189,37 +193,38 @@ def off_body(placed: FloatArray, j: int, i: int) -> Shown:
 
 
 @inlined
-def is_thin(movers: FloatArray, b: int) -> bool:
+def is_thin(bodies: TableArray, b: int) -> bool:
     """True if a body is its axis segment grown by a radius."""
-    thin: bool = movers[b, flat.LAST] - movers[b, flat.FIRST] <= flat.THIN
+    thin: bool = bodies[b].last - bodies[b].first <= flat.THIN
     return thin
 
 
 @kernel
 def _body_clearance(arm: BodyArrays, b: int, enough: float) -> float:
     """Clearance of a body from the obstacles, clamped to `enough` [m]."""
-    movers, solids, placed, work = arm.movers, arm.solids, arm.placed, arm.work
-    x, y, z = placed[b, CENTRE], placed[b, CENTRE + 1], placed[b, CENTRE + 2]
-    ball, joint, least = movers[b, flat.BALL_RADIUS], movers[b, flat.JOINT], enough
-    thin = is_thin(movers, b)
+    bodies, solids, placed, work = arm.bodies, arm.solids, arm.placed, arm.work
+    body = bodies[b]
+    centre, ball, thickness, joint, least = placed[b].centre, body.ball_radius, body.axis_radius, body.joint, enough
+    x, y, z = centre[0], centre[1], centre[2]
+    thin = is_thin(bodies, b)
     following = _FIRST_ROW
-    while following < solids.shape[0]:
+    while following < len(solids):
         s = following
-        dx, dy, dz = solids[s, row.CENTRE] - x, solids[s, row.CENTRE + 1] - y, solids[s, row.CENTRE + 2] - z
-        within = least + ball + solids[s, row.BOUND]
-        kind = solids[s, row.KIND]
+        solid = solids[s]
+        dx, dy, dz = solid.centre[0] - x, solid.centre[1] - y, solid.centre[2] - z
+        within = least + ball + solid.bound
+        kind = solid.kind
         if not within > 0.0 or dx * dx + dy * dy + dz * dz > within * within:
-            following = int(solids[s, row.NEXT]) if kind >= row.NODE else s + 1
+            following = solid.next if kind >= row.NODE else s + 1
             continue
         following = s + 1
         if kind == row.JOINT_RANGE:
-            if not solids[s, row.FIRST_JOINT] <= joint <= solids[s, row.LAST_JOINT]:
-                following = int(solids[s, row.NEXT])
+            if not solid.first <= joint <= solid.last:
+                following = solid.next
         elif kind == row.NODE or kind == row.LEAF:
             start, along = segment_of(placed, b)
-            centre = (solids[s, row.CENTRE], solids[s, row.CENTRE + 1], solids[s, row.CENTRE + 2])
-            if point_segment(centre, start, along) > least + movers[b, flat.AXIS_RADIUS] + solids[s, row.BOUND]:
-                following = int(solids[s, row.NEXT])
+            if point_segment(vector_of(solid.centre), start, along) > least + thickness + solid.bound:
+                following = solid.next
             elif kind == row.LEAF:
                 least = _leaf_clearance(arm, b, s, least)
         else:
@@ -228,14 +233,14 @@ def _body_clearance(arm: BodyArrays, b: int, enough: float) -> float:
                 # Vector from the solid's core to the body's axis segment.
                 ox, oy, oz, t, shown = off_row(placed, b, solids, s)
                 if shown > 0.0:
-                    clear = shown - solids[s, row.RADIUS] - movers[b, flat.AXIS_RADIUS]
+                    clear = shown - solid.radius - thickness
                     if clear >= least:
                         continue
                     if thin and shown * shown >= _SURELY * (ox * ox + oy * oy + oz * oz):
                         least = clear
                         work[WORK], work[WORK + 1], work[WORK + 2] = ox, oy, oz
                         for c in range(3):
-                            work[WORK + 3 + c] = placed[b, START + c] + t * placed[b, ALONG + c]
+                            work[WORK + 3 + c] = placed[b].start[c] + t * placed[b].along[c]
                         continue
                     away = (ox, oy, oz)
             least = _row_clearance(arm, (b, s), away, least)
@@ -245,15 +250,15 @@ def _body_clearance(arm: BodyArrays, b: int, enough: float) -> float:
 @kernel
 def _hull_clearance(arm: BodyArrays, k: int, other: tuple[FloatArray, Span, float], least: float) -> float:
     """Clearance of a body from a rounded hull, clamped to `least` [m]."""
-    points, other_span, radius = other
-    movers, numbers, work = arm.movers, arm.numbers, arm.work
-    radii = radius + movers[k, flat.ROUNDING]
-    span, pose = span_of(movers, k), pose_of(arm.frames, int(movers[k, flat.JOINT]))
+    corners, other_span, radius = other
+    bodies, points, work = arm.bodies, arm.points, arm.work
+    radii = radius + bodies[k].rounding
+    span, pose = span_of(bodies, k), pose_of(arm.frames, bodies[k].joint)
     wanted = Wanted(least + radii, -math.inf, EXACT, radii, STILL)
-    distance = core_distance(numbers, span, pose, points, other_span, wanted, work)
+    distance = core_distance(points, span, pose, corners, other_span, wanted, work)
     sign = 1.0
     if distance == 0.0 and least + radii > 0.0:
-        distance, sign = -penetration((numbers, span, pose, points, other_span), work), -1.0
+        distance, sign = -penetration((points, span, pose, corners, other_span), work), -1.0
     if least <= distance - radii:
         return least
     beyond: float = distance - radii
@@ -273,85 +278,85 @@ def _row_clearance(arm: BodyArrays, place: tuple[int, int], away: Vector, least:
     """
     (k, s), solids, data, work = place, arm.solids, arm.data, arm.work
     work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = away
-    first = int(solids[s, row.CORNERS])
+    first = solids[s].corners
     span = first, int(data[first - 2]), int(data[first - 1])
-    return _hull_clearance(arm, k, (data, span, solids[s, row.RADIUS]), least)
+    return _hull_clearance(arm, k, (data, span, solids[s].radius), least)
 
 
 @kernel
 def _leaf_clearance(arm: BodyArrays, k: int, s: int, least: float) -> float:
     """Clearance of a body from a leaf's balls, clamped to `least` [m]."""
-    movers, solids, data, placed, work = arm.movers, arm.solids, arm.data, arm.placed, arm.work
-    radius, thickness = solids[s, row.RADIUS], movers[k, flat.AXIS_RADIUS]
+    solid, data, placed, work = arm.solids[s], arm.data, arm.placed, arm.work
+    radius, thickness = solid.radius, arm.bodies[k].axis_radius
     start, along = segment_of(placed, k)
-    for p in range(int(solids[s, row.POINTS]), int(solids[s, row.POINTS_END]), 3):
+    for p in range(solid.first, solid.last, 3):
         apart = point_segment((data[p], data[p + 1], data[p + 2]), start, along)
         if apart < least + thickness + radius:
             for c in range(3):
-                work[NEAREST + c] = placed[k, CENTRE + c] - data[p + c]
+                work[NEAREST + c] = placed[k].centre[c] - data[p + c]
             least = _hull_clearance(arm, k, (data, (p, p + 3, NO_TABLE), radius), least)
     return least
 
 
 @kernel
-def _near_below(movers: FloatArray, placed: FloatArray, solids: FloatArray, k: int, enough: float) -> int:
+def _near_below(
+    bodies: TableArray, pairs: TableArray, placed: TableArray, solids: TableArray, k: int, enough: float
+) -> int:
     """Next lower moving body that fails the bounding-ball check; else -1.
 
     Pairs come first, then bodies from the tip to the base. (The check is inlined here because a call with all arrays
     costs more than the work that most bodies need.)
     """
-    bodies = placed.shape[0]
     while k > 0:
         k -= 1
-        if k >= bodies:
-            j, i = int(movers[k, flat.OUTER]), int(movers[k, flat.INNER])
-            dx = placed[j, CENTRE] - placed[i, CENTRE]
-            dy = placed[j, CENTRE + 1] - placed[i, CENTRE + 1]
-            dz = placed[j, CENTRE + 2] - placed[i, CENTRE + 2]
-            within = enough + movers[k, flat.BALLS]
+        if k >= len(bodies):
+            pair = pairs[k - len(bodies)]
+            one, other = placed[pair.outer].centre, placed[pair.inner].centre
+            dx, dy, dz = one[0] - other[0], one[1] - other[1], one[2] - other[2]
+            within = enough + pair.ball_distance
             if within > 0.0 and dx * dx + dy * dy + dz * dz < within * within:
                 return k
-        elif movers[k, flat.MEETS] > 0.0:
-            x, y, z = placed[k, CENTRE], placed[k, CENTRE + 1], placed[k, CENTRE + 2]
-            around = enough + movers[k, flat.BALL_RADIUS]
+        elif bodies[k].is_checked:
+            centre, around = placed[k].centre, enough + bodies[k].ball_radius
+            x, y, z = centre[0], centre[1], centre[2]
             s = _FIRST_ROW
-            while s < solids.shape[0]:
-                dx, dy, dz = solids[s, row.CENTRE] - x, solids[s, row.CENTRE + 1] - y, solids[s, row.CENTRE + 2] - z
-                within = around + solids[s, row.BOUND]
+            while s < len(solids):
+                solid = solids[s]
+                dx, dy, dz = solid.centre[0] - x, solid.centre[1] - y, solid.centre[2] - z
+                within = around + solid.bound
                 if within > 0.0 and dx * dx + dy * dy + dz * dz <= within * within:
                     return k
-                s = int(solids[s, row.NEXT]) if solids[s, row.KIND] >= row.NODE else s + 1
+                s = solid.next if solid.kind >= row.NODE else s + 1
     return -1
 
 
 @kernel
 def _pair_clearance(arm: BodyArrays, k: int, enough: float) -> float:
     """Clearance of a self-collision pair, clamped to `enough` [m]."""
-    movers, numbers, placed, work = arm.movers, arm.numbers, arm.placed, arm.work
-    j, i, touching = int(movers[k, flat.OUTER]), int(movers[k, flat.INNER]), movers[k, flat.TOUCHING]
+    bodies, points, placed, work = arm.bodies, arm.points, arm.placed, arm.work
+    pair = arm.pairs[k - len(bodies)]
+    j, i, touching = pair.outer, pair.inner, pair.hull_distance
     dx, dy, dz, t, shown = off_body(placed, j, i)
     if shown > 0.0:
-        if shown - movers[k, flat.AXES] >= enough:
+        if shown - pair.axis_distance >= enough:
             return enough
-        if is_thin(movers, i) and is_thin(movers, j) and shown * shown >= _SURELY * (dx * dx + dy * dy + dz * dz):
+        if is_thin(bodies, i) and is_thin(bodies, j) and shown * shown >= _SURELY * (dx * dx + dy * dy + dz * dz):
             work[WORK], work[WORK + 1], work[WORK + 2] = dx, dy, dz
             for c in range(3):
-                work[WORK + 3 + c] = placed[j, START + c] + t * placed[j, ALONG + c]
+                work[WORK + 3 + c] = placed[j].start[c] + t * placed[j].along[c]
             left: float = shown - touching
             return left
     else:
-        dx = placed[j, CENTRE] - placed[i, CENTRE]
-        dy = placed[j, CENTRE + 1] - placed[i, CENTRE + 1]
-        dz = placed[j, CENTRE + 2] - placed[i, CENTRE + 2]
-    frames, inner = arm.frames, int(movers[i, flat.JOINT])
+        dx, dy, dz = sub(vector_of(placed[j].centre), vector_of(placed[i].centre))
+    frames, inner = arm.frames, bodies[i].joint
     work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = turned_back(pose_of(frames, inner), (dx, dy, dz))
-    pose = difference(frames, int(movers[j, flat.JOINT]), inner)
-    span, other = span_of(movers, j), span_of(movers, i)
+    pose = difference(frames, bodies[j].joint, inner)
+    span, other = span_of(bodies, j), span_of(bodies, i)
     wanted = Wanted(enough + touching, -math.inf, EXACT, touching, STILL)
-    distance = core_distance(numbers, span, pose, numbers, other, wanted, work)
+    distance = core_distance(points, span, pose, points, other, wanted, work)
     sign = 1.0
     if distance == 0.0:
-        distance, sign = -penetration((numbers, span, pose, numbers, other), work), -1.0
+        distance, sign = -penetration((points, span, pose, points, other), work), -1.0
     if enough <= distance - touching:
         return enough
     # Expressed in the world frame.
@@ -367,7 +372,7 @@ def _pair_clearance(arm: BodyArrays, k: int, enough: float) -> float:
 @kernel
 def _mover_clearance(arm: BodyArrays, k: int, enough: float) -> float:
     """Clearance of a moving body, clamped to `enough` [m]."""
-    if k >= arm.placed.shape[0]:
+    if k >= len(arm.bodies):
         return _pair_clearance(arm, k, enough)
     return _body_clearance(arm, k, enough)
 
@@ -379,13 +384,13 @@ def body_clearances(q: FloatArray, field: FieldArrays, enough: float, result: Fl
     Bodies that no obstacle concerns get `enough`.
     """
     arm = _placed_arm(q, field)
-    movers, placed, solids = arm.movers, arm.placed, arm.solids
+    bodies, pairs, placed, solids = arm.bodies, arm.pairs, arm.placed, arm.solids
     for k in range(len(result)):
         result[k] = enough
-    k = _near_below(movers, placed, solids, len(result), enough)
+    k = _near_below(bodies, pairs, placed, solids, len(result), enough)
     while k >= 0:
         result[k] = _mover_clearance(arm, k, enough)
-        k = _near_below(movers, placed, solids, k, enough)
+        k = _near_below(bodies, pairs, placed, solids, k, enough)
 
 
 @kernel
@@ -410,23 +415,22 @@ def body_slopes(
     them; zeros if the clearance is clamped.
     """
     arm = _placed_arm(q, field)
-    movers, work, placed, solids = arm.movers, arm.work, arm.placed, arm.solids
-    bodies = placed.shape[0]
+    bodies, pairs, placed, solids, work = arm.bodies, arm.pairs, arm.placed, arm.solids, arm.work
     for k in range(len(clear)):
         clear[k] = enough
         for m in range(len(joints)):
             gradient[k, m] = 0.0
     k = len(clear)
     while True:
-        k = _near_below(movers, placed, solids, k, enough)
+        k = _near_below(bodies, pairs, placed, solids, k, enough)
         if k < 0:
             break
         clear[k] = _mover_clearance(arm, k, enough)
         if not clear[k] < enough:
             continue
         outer, inner = k, -1
-        if k >= bodies:
-            outer, inner = int(movers[k, flat.OUTER]), int(movers[k, flat.INNER])
+        if k >= len(bodies):
+            outer, inner = pairs[k - len(bodies)].outer, pairs[k - len(bodies)].inner
         n = (work[WORK], work[WORK + 1], work[WORK + 2])
         length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
         if not length > 0.0:
@@ -445,11 +449,11 @@ def body_slopes(
 @kernel
 def _carries(arm: BodyArrays, b: int, joint: int) -> bool:
     """True if a joint moves a body."""
-    numbers = arm.numbers
-    first, dof, j = int(numbers[flat.JOINTS]), int(numbers[flat.DOF]), int(arm.movers[b, flat.JOINT])
-    while j < dof and j != joint:
-        j = int(numbers[first + flat.JOINT_SIZE * j + flat.PARENT])
-    return j == joint and j < dof
+    joints, j = arm.joints, arm.bodies[b].joint
+    while j < len(joints) and j != joint:
+        j = joints[j].parent
+    carries: bool = j == joint and j < len(joints)
+    return carries
 
 
 @kernel
@@ -460,15 +464,14 @@ def _rate(arm: BodyArrays, b: int, joint: int, n: Vector, at: Vector) -> float:
     """
     if not _carries(arm, b, joint):
         return 0.0
-    numbers, frames = arm.numbers, arm.frames
-    own = int(numbers[flat.JOINTS]) + flat.JOINT_SIZE * joint
-    tx, ty, tz = numbers[own + flat.TURN], numbers[own + flat.TURN + 1], numbers[own + flat.TURN + 2]
-    if tx == 0.0 and ty == 0.0 and tz == 0.0:
-        below, rate = int(numbers[own + flat.PARENT]), 0.0
+    own, frames = arm.joints[joint], arm.frames
+    if own.slides:
+        below, shift, rate = own.parent, own.shift, 0.0
         for r in range(3):
             for c in range(3):
-                rate += n[r] * frames[below, 3 * r + c] * numbers[own + flat.SHIFT + c]
+                rate += n[r] * frames[below, 3 * r + c] * shift[c]
         return rate
+    tx, ty, tz = vector_of(own.axis)
     x = frames[joint, 0] * tx + frames[joint, 1] * ty + frames[joint, 2] * tz
     y = frames[joint, 3] * tx + frames[joint, 4] * ty + frames[joint, 5] * tz
     z = frames[joint, 6] * tx + frames[joint, 7] * ty + frames[joint, 8] * tz
@@ -481,9 +484,9 @@ def _rate(arm: BodyArrays, b: int, joint: int, n: Vector, at: Vector) -> float:
 def least_body_clearance(q: FloatArray, field: FieldArrays, enough: float) -> float:
     """Minimum clearance of all moving bodies, clamped to `enough` [m]."""
     arm = _placed_arm(q, field)
-    movers, placed, solids, least = arm.movers, arm.placed, arm.solids, enough
-    k = _near_below(movers, placed, solids, movers.shape[0], least)
+    bodies, pairs, placed, solids, least = arm.bodies, arm.pairs, arm.placed, arm.solids, enough
+    k = _near_below(bodies, pairs, placed, solids, len(bodies) + len(pairs), least)
     while k >= 0:
         least = _mover_clearance(arm, k, least)
-        k = _near_below(movers, placed, solids, k, least)
+        k = _near_below(bodies, pairs, placed, solids, k, least)
     return least

@@ -16,7 +16,6 @@ import numpy as np
 from hplan.base.arrays import BoolArray, FloatArray
 from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, kernel
-from hplan.collision import flat_bodies as flat
 from hplan.collision import obstacle_rows as row
 from hplan.collision.body_kernels import segment_of
 from hplan.collision.motion_cover import Moving, Part, moving_arm, part_shown_clear
@@ -24,6 +23,7 @@ from hplan.collision.obstacle_rows import FieldArrays
 from hplan.collision.placed_bodies import PLACED, place_bodies
 from hplan.collision.twists import motion_bends
 from hplan.geometry.segment_distance import point_segment
+from hplan.geometry.vectors import vector_of
 
 _FIRST_ROW = any_int(0)
 
@@ -63,12 +63,12 @@ class Run(NamedTuple):
 def _run(piece: FloatArray, field: FieldArrays, margin: float) -> Run:
     """Prepare a motion: bounds on the speed and acceleration of its points."""
     dof = piece.shape[1]
-    bends, fastest, changes = np.empty((field.movers.shape[0], 2)), np.empty(dof), np.empty(dof)
+    bends, fastest, changes = np.empty((len(field.bodies) + len(field.pairs), 2)), np.empty(dof), np.empty(dof)
     for j in range(dof):
         first, second, third = piece[1, j] - piece[0, j], piece[2, j] - piece[1, j], piece[3, j] - piece[2, j]
         fastest[j] = 3.0 * max(abs(first), max(abs(second), abs(third)))
         changes[j] = 6.0 * max(abs(second - first), abs(third - second))
-    motion_bends(fastest, changes, field.movers, field.numbers, bends)
+    motion_bends(fastest, changes, field, bends)
     return Run(piece, moving_arm(field, dof, bends, margin), fastest, changes, field.until)
 
 
@@ -156,7 +156,7 @@ def piece_is_clear(piece: FloatArray, field: FieldArrays, margin: float, stride:
     if middle.forward < 0.0 or (middle.back >= 0.5 and middle.forward >= 0.5):
         return middle.forward >= 0.0
     farthest = 0.0
-    for b in range(int(field.numbers[flat.BODIES])):
+    for b in range(len(field.bodies)):
         farthest = max(farthest, run.moving.bends[b, 0])
     parts = 2
     while farthest > parts * _APART and not is_up(field.until):
@@ -200,23 +200,23 @@ def mark_near(path: FloatArray, arrays: FieldArrays, distance: float, near: Bool
 
     A row is marked if its ball is within `distance` [m] of some body at some configuration of the path.
     """
-    movers, numbers, solids = arrays.movers, arrays.numbers, arrays.solids
-    placed, frames = np.empty((int(numbers[flat.BODIES]), PLACED)), np.empty((path.shape[1] + 1, 12))
+    bodies, joints, solids = arrays.bodies, arrays.joints, arrays.solids
+    placed, frames = np.empty(len(bodies), PLACED), np.empty((path.shape[1] + 1, 12))
     for i in range(path.shape[0]):
         if is_up(arrays.until):
             break
-        place_bodies(path[i], movers, numbers, frames, placed)
-        for b in range(placed.shape[0]):
-            if movers[b, flat.MEETS] == 0.0:
+        place_bodies(path[i], bodies, joints, frames, placed)
+        for b in range(len(bodies)):
+            if not bodies[b].is_checked:
                 continue
             start, along = segment_of(placed, b)
             following = _FIRST_ROW
-            while following < solids.shape[0]:
+            while following < len(solids):
                 s = following
                 following = s + 1
                 if not near[s]:
-                    centre = (solids[s, row.CENTRE], solids[s, row.CENTRE + 1], solids[s, row.CENTRE + 2])
-                    beyond = distance + solids[s, row.BOUND] + movers[b, flat.AXIS_RADIUS]
-                    near[s] = point_segment(centre, start, along) <= beyond
-                    if not near[s] and solids[s, row.KIND] == row.NODE:
-                        following = int(solids[s, row.NEXT])
+                    solid = solids[s]
+                    beyond = distance + solid.bound + bodies[b].axis_radius
+                    near[s] = point_segment(vector_of(solid.centre), start, along) <= beyond
+                    if not near[s] and solid.kind == row.NODE:
+                        following = solid.next

@@ -15,20 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen, readonly
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, TableArray, frozen
 from hplan.base.deadline import check_deadline, until
 from hplan.collision.body_kernels import FAR, body_slopes, clearances_along
 from hplan.collision.body_motions import mark_near, path_is_clear
-from hplan.collision.flat_bodies import BALLS, BODIES, DOF, FlatBodies
-from hplan.collision.obstacle_rows import (
-    FIRST_JOINT,
-    JOINT_RANGE,
-    KIND,
-    LAST_JOINT,
-    NEXT,
-    FieldArrays,
-    rows_of,
-)
+from hplan.collision.flat_bodies import FlatBodies
+from hplan.collision.obstacle_rows import JOINT_RANGE, OBSTACLE, FieldArrays, rows_of
 from hplan.errors import OptionError
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
@@ -42,30 +34,34 @@ class ClearanceField(Record):
     """Arm and obstacles as flat arrays for the kernels.
 
     Attributes:
-        movers: Moving bodies and self-collision pairs, as in `hplan.collision.flat_bodies.FlatBodies`.
-        numbers: Joint and hull data of `movers`, as in `hplan.collision.flat_bodies.FlatBodies`.
-        solids: (rows, 21) balls, capsules, boxes, hulls and nodes of clouds, grown by the required clearance; columns
-            as in `hplan.collision.obstacle_rows`.
+        arm: Moving bodies and self-collision pairs.
+        solids: (rows,) balls, capsules, boxes, hulls and nodes of clouds, grown by the required clearance; columns are
+            those of `hplan.collision.obstacle_rows.OBSTACLE`.
         data: Corners of hulls and points of clouds, one after the other; the rows hold the indices.
         owner: (rows,) index of the obstacle of each row; -1 for a node over several obstacles, `RANGE` for a joint
             range (`hplan.collision.obstacle_rows`).
     """
 
-    movers: FloatArray
-    numbers: FloatArray
-    solids: FloatArray
+    arm: FlatBodies
+    solids: TableArray
     data: FloatArray
     owner: IntArray
 
     @property
     def arrays(self) -> FieldArrays:
         """The arrays and the deadline for the kernels."""
-        return FieldArrays(self.movers, self.numbers, self.solids, self.data, until())
+        arm = self.arm
+        return FieldArrays(arm.bodies, arm.pairs, arm.joints, arm.reaches, arm.points, self.solids, self.data, until())
 
     @property
     def reaches(self) -> FloatArray:
         """(moving bodies, dof) motion-bound coefficients (`hplan.collision.reach`)."""
-        return FlatBodies(self.movers, self.numbers).reaches
+        return self.arm.reaches
+
+    @property
+    def count(self) -> int:
+        """Number of moving bodies, self-collision pairs included."""
+        return len(self.arm.reaches)
 
     @classmethod
     def of(
@@ -89,9 +85,8 @@ class ClearanceField(Record):
         """
         growth = np.asarray(clearance, dtype=np.float64)
         own = float(growth.min()) if own_clearance is None and growth.size else own_clearance or 0.0
-        flat = FlatBodies.of(robot, own, deviation)
         solids, data, owner = rows_of(obstacles, growth, joints)
-        return cls(flat.movers, flat.numbers, frozen(solids), frozen(data), frozen(owner))
+        return cls(FlatBodies.of(robot, own, deviation), frozen(solids), frozen(data), frozen(owner))
 
     def only(self, kept: BoolArray, *, arm: bool = True) -> ClearanceField:
         """Return the field of a subset of the obstacles.
@@ -101,7 +96,7 @@ class ClearanceField(Record):
             arm: False drops the arm's self-collision pairs.
         """
         found = self._of_rows(np.append(kept, [True, True])[self.owner])
-        return found if arm else replace(found, movers=readonly(self.movers[: int(self.numbers[BODIES])]))
+        return found if arm else replace(found, arm=self.arm.with_pairs(np.zeros(len(self.arm.pairs), dtype=np.bool_)))
 
     def sparing(self, touched: BoolArray) -> ClearanceField:
         """Return the field whose last joint's bodies may touch some obstacles.
@@ -109,22 +104,23 @@ class ClearanceField(Record):
         Args:
             touched: (solids,) mask of these obstacles.
         """
-        before_last = int(self.numbers[DOF]) - 2
+        before_last = len(self.arm.joints) - 2
         if before_last < 0:
             return self.only(~touched)
         rows = np.append(touched, [False, False])[self.owner]
         first = rows & (np.concatenate([[-2], self.owner[:-1]]) != self.owner)  # A joint range comes before it.
         before = np.concatenate([[0], np.cumsum(first)])
-        solids = np.insert(self.solids, np.flatnonzero(first), 0.0, axis=0)
         moved = np.arange(len(rows)) + before[1:]
-        solids[moved, NEXT] = self.solids[:, NEXT] + before[self.solids[:, NEXT].astype(np.int64)]
+        solids = np.zeros(len(rows) + before[-1], OBSTACLE)
+        solids[moved] = self.solids
+        solids["next"][moved] = self.solids["next"] + before[self.solids["next"]]
         ends = np.append(np.flatnonzero(first), len(rows))[1:]
         for start, end in zip(np.flatnonzero(first).tolist(), ends.tolist(), strict=True):
             last = start + int(np.count_nonzero(self.owner[start:end] == self.owner[start]))
             joints = solids[start + before[start]]
-            joints[:] = self.solids[start]
-            joints[KIND], joints[FIRST_JOINT], joints[LAST_JOINT] = JOINT_RANGE, 0, before_last
-            joints[NEXT] = last + before[last]
+            joints["centre"], joints["bound"] = self.solids[start]["centre"], self.solids[start]["bound"]
+            joints["kind"], joints["first"], joints["last"] = JOINT_RANGE, 0, before_last
+            joints["next"] = last + before[last]
         owner = np.insert(self.owner, np.flatnonzero(first), self.owner[first])
         return replace(self, solids=frozen(solids), owner=frozen(owner))
 
@@ -156,24 +152,24 @@ class ClearanceField(Record):
             distance: Pairs farther apart than this are irrelevant [m].
             turn: So are pairs that, by their gradients, do not touch while every joint moves by this [rad].
         """
-        first, arrays = int(self.numbers[BODIES]), self.arrays._replace(solids=self.solids[:0])
-        idle = np.arange(len(self.movers)) >= first
+        first, arrays = len(self.arm.bodies), self.arrays._replace(solids=self.solids[:0])
+        idle = np.arange(self.count) >= first
         if not idle.any():
             return self
         clear, gradient = np.empty(len(idle)), np.empty((len(idle), len(movable)))
         for configuration in path:
             body_slopes(configuration, arrays, movable, distance, clear, gradient)
             idle &= (clear >= distance) | (clear > turn * np.abs(gradient).sum(axis=1))
-        movers = self.movers.copy()
-        movers[idle, BALLS] = -np.inf
-        return replace(self, movers=frozen(movers))
+        pairs = self.arm.pairs.copy()
+        pairs["ball_distance"][idle[first:]] = -np.inf
+        return replace(self, arm=replace(self.arm, pairs=frozen(pairs)))
 
     def _of_rows(self, kept: BoolArray) -> ClearanceField:
         """Return the field of some rows; dropping a node drops its subtree."""
         rows = np.flatnonzero(kept)
         place = np.searchsorted(rows, np.arange(len(self.solids) + 1))  # New indices of the rows that remain.
         solids = self.solids[rows]
-        solids[:, NEXT] = place[solids[:, NEXT].astype(np.int64)]
+        solids["next"] = place[solids["next"]]
         return replace(self, solids=frozen(solids), owner=frozen(self.owner[rows]))
 
     def link_clearances(self, q: ArrayLike, enough: float = FAR) -> FloatArray:
@@ -196,7 +192,7 @@ class ClearanceField(Record):
             that separates a body from an obstacle.
         """
         points = np.array(configurations, dtype=np.float64, order="C")
-        result = np.empty((len(points), len(self.movers)))
+        result = np.empty((len(points), self.count))
         clearances_along(points, self.arrays, enough, result)
         check_deadline()
         return result

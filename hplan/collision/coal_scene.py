@@ -13,12 +13,11 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from hplan.base import ties
-from hplan.base.arrays import BoolArray, FloatArray, IntArray
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, TableArray, frozen
 from hplan.base.deadline import check_deadline
 from hplan.collision.arm_pairs import ArmPair, arm_parts, base_bodies, below
 from hplan.collision.box_bounds import (
     ANYWHERE,
-    RADIUS,
     boxes_about,
     boxes_about_solids,
     joints_as_pinocchio,
@@ -369,7 +368,7 @@ class CoalScene:
         return self._geometry.distances_of(pairs) - self._taken_off[pairs]
 
     @cached_property
-    def boxes(self) -> tuple[FloatArray, IntArray]:
+    def boxes(self) -> tuple[TableArray, IntArray]:
         """Bounding boxes of bodies and obstacles; (pairs, 2) box indices.
 
         See `box_bounds`.
@@ -378,10 +377,11 @@ class CoalScene:
         bodies = self.robot.cached(("boxes", *parts.key), lambda: boxes_about(parts))
         solids = boxes_about_solids(obstacles, self.robot.dof)
         if self.moving is not None:
-            solids[list(self.moving.numbers), RADIUS] = ANYWHERE
+            solids["radius"][list(self.moving.numbers)] = ANYWHERE
         mover, solid = np.divmod(np.arange(self._beyond.size), max(count, 1))
         of_own = parts.movers[0][len(parts.shapes) :]
-        return np.concatenate([bodies, solids]), np.concatenate([np.column_stack([mover, len(bodies) + solid]), of_own])
+        sides = np.concatenate([np.column_stack([mover, len(bodies) + solid]), of_own])
+        return frozen(np.concatenate([bodies, solids])), sides
 
     def lower_bounds(self, q: FloatArray, pairs: IntArray) -> FloatArray:
         """Lower bounds of some `pairs`' distances, (k,) indices -> (k,) [m].

@@ -213,8 +213,9 @@ def _hull(kind: str, points: FloatArray, rounding: float, judged: coal.Collision
 def _is_closed(faces: IntArray) -> bool:
     """True if each edge joins exactly two triangles, in opposite directions."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    there, back = ({tuple(edge) for edge in directed.tolist()} for directed in (edges, edges[:, ::-1]))
-    return len(there) == len(edges) and there == back
+    count = int(faces.max(initial=0)) + 1
+    there, back = (np.sort(edges[:, start] * count + edges[:, 1 - start]) for start in (0, 1))
+    return bool((np.diff(there) > 0).all()) and np.array_equal(there, back)
 
 
 def _volumes(vertices: FloatArray, faces: IntArray) -> FloatArray:

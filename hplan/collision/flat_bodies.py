@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
+from hplan.base.arrays import BoolArray, FloatArray, Record, TableArray, frozen
 from hplan.collision.arm_pairs import ArmParts, arm_parts
 from hplan.collision.collision_bodies import GROUND, CollisionBody, ball_about, collision_bodies
 from hplan.collision.reach import carriers, joint_axis, points_reach
@@ -15,51 +15,80 @@ from hplan.collision.touching_pairs import required_distances, self_pairs
 from hplan.geometry.convex_distance import corner_table
 from hplan.robot.model import Robot, made_once
 
-#: Columns of a body: its joint (`dof` for the ground); offsets of the start and end of its points in the numbers, and
-#: of their table (`hplan.geometry.convex_distance`; 0 for none); its rounding radius; centre (3) and radius of a
-#: bounding ball; start and vector (3 each) and radius of a bounding capsule; and 1 if it is checked against obstacles,
-#: because joints move it and no other body contains it.
-JOINT, FIRST, LAST, TABLE, ROUNDING, BALL, BALL_RADIUS, AXIS, AXIS_RADIUS, MEETS = 0, 1, 2, 3, 4, 5, 8, 9, 15, 16
+#: Columns of a body: its joint (`dof` for the ground); offsets of the start and end of its points, and of their table
+#: (`hplan.geometry.convex_distance`; 0 for none); its rounding radius; centre and radius of a bounding ball; start,
+#: vector and radius of a bounding capsule; and whether it is checked against obstacles, because joints move it and no
+#: other body contains it.
+BODY = np.dtype(
+    [
+        ("joint", np.int64),
+        ("first", np.int64),
+        ("last", np.int64),
+        ("table", np.int64),
+        ("rounding", np.float64),
+        ("ball", np.float64, 3),
+        ("ball_radius", np.float64),
+        ("axis_start", np.float64, 3),
+        ("axis_vector", np.float64, 3),
+        ("axis_radius", np.float64),
+        ("is_checked", np.bool_),
+    ],
+    align=True,
+)
 
-#: Columns of a pair: its bodies, first the one whose motion relative to the other is considered; the distance of their
-#: hulls at contact; the distances of the ball centres and of the segments beyond which contact is excluded; and 1, to
-#: distinguish it from a body, which has 0.
-OUTER, INNER, TOUCHING, BALLS, AXES, IS_PAIR = 0, 1, 2, 3, 4, 17
+#: Columns of a pair: its bodies, first the one whose motion relative to the other is considered; the distances of their
+#: hulls, of their ball centres and of their segments at which contact is excluded.
+PAIR = np.dtype(
+    [
+        ("outer", np.int64),
+        ("inner", np.int64),
+        ("hull_distance", np.float64),
+        ("ball_distance", np.float64),
+        ("axis_distance", np.float64),
+    ],
+    align=True,
+)
 
-COLUMNS = 18
+#: Columns of a joint with value q: three 3x3 matrices A, B, C by rows, for its rotation A + B cos(q) + C sin(q) in the
+#: parent's frame; its position and the direction of its shift by q; its parent's index (`dof` for the base); its
+#: rotation axis in its own frame, zeros for a prismatic joint; and whether it is prismatic.
+JOINT = np.dtype(
+    [
+        ("constant", np.float64, 9),
+        ("cosine", np.float64, 9),
+        ("sine", np.float64, 9),
+        ("position", np.float64, 3),
+        ("shift", np.float64, 3),
+        ("parent", np.int64),
+        ("axis", np.float64, 3),
+        ("slides", np.bool_),
+    ],
+    align=True,
+)
 
 #: A body with at most this number of coordinates is exactly its bounding capsule.
 THIN = 6
 
-#: Numbers of the head: number of bodies, number of joints, offsets of the joints and of the motion-bound coefficients.
-BODIES, DOF, JOINTS, REACHES, HEAD = 0, 1, 2, 3, 4
-
-#: Numbers of a joint with value q: three 3x3 matrices A, B, C by rows, for its rotation A + B cos(q) + C sin(q) in the
-#: parent's frame; its position and the direction of its shift by q (3 each); its parent's index (`dof` for the base);
-#: and its rotation axis in its own frame (3), zeros for a prismatic joint.
-PLACE, SHIFT, PARENT, TURN, JOINT_SIZE = 27, 30, 33, 34, 37
-
 
 @dataclass(frozen=True, eq=False)
 class FlatBodies(Record):
-    """Moving bodies of a robot as rows that refer to numbers.
+    """Moving bodies of a robot as tables.
 
     Attributes:
-        movers: (bodies + pairs, COLUMNS) rows: the bodies in the order of `collision_bodies`, then capsules that
-            replace cylinders with a ball at either end; for a planar arm the capsules of its links, then the shapes of
-            turret and pedestal that they can touch. After the bodies, the checked self-collision pairs.
-        numbers: Flat array: the head, the joints, the motion-bound coefficients ((bodies + pairs, dof) by rows), and
-            the points of all bodies, each with its table.
+        bodies: (bodies,) rows of `BODY`, in the order of `collision_bodies`, then capsules that replace cylinders with
+            a ball at either end; for a planar arm the capsules of its links, then the shapes of turret and pedestal
+            that they can touch.
+        pairs: (pairs,) rows of `PAIR`, the checked self-collision pairs.
+        joints: (dof,) rows of `JOINT`.
+        reaches: (bodies + pairs, dof) motion-bound coefficients (`hplan.collision.reach`).
+        points: Coordinates of the points of all bodies, each with its table.
     """
 
-    movers: FloatArray
-    numbers: FloatArray
-
-    @property
-    def reaches(self) -> FloatArray:
-        """(bodies + pairs, dof) motion-bound coefficients (`hplan.collision.reach`)."""
-        first, dof = int(self.numbers[REACHES]), int(self.numbers[DOF])
-        return self.numbers[first : first + len(self.movers) * dof].reshape(-1, dof)
+    bodies: TableArray
+    pairs: TableArray
+    joints: TableArray
+    reaches: FloatArray
+    points: FloatArray
 
     @classmethod
     def of(cls, robot: Robot, own_clearance: float = 0.0, deviation: float = 0.0) -> FlatBodies:
@@ -77,17 +106,24 @@ class FlatBodies(Record):
             parts = arm_parts(robot, "capsule", deviation, own_clearance, single_joint_pairs=False)
             still = robot.cached(("flat bodies", *parts.key), lambda: _of_parts(parts))
             farthest = np.full(len(parts.own), np.inf)
-        kept = np.append(np.zeros(int(still.numbers[BODIES])), required_distances(farthest, own_clearance))
-        return cls(frozen(thicker(still.movers, deviation * still.reaches.sum(axis=1) + kept)), still.numbers)
+        kept = np.append(np.zeros(len(still.bodies)), required_distances(farthest, own_clearance))
+        bodies, pairs = thicker(still.bodies, still.pairs, deviation * still.reaches.sum(axis=1) + kept)
+        return replace(still, bodies=bodies, pairs=pairs)
+
+    def with_pairs(self, chosen: BoolArray) -> FlatBodies:
+        """Return the bodies with some of the pairs, by a (pairs,) mask."""
+        kept = np.append(np.ones(len(self.bodies), dtype=np.bool_), chosen)
+        return replace(self, pairs=frozen(self.pairs[chosen]), reaches=frozen(self.reaches[kept]))
 
 
-def thicker(movers: FloatArray, by: FloatArray) -> FloatArray:
+def thicker(bodies: TableArray, pairs: TableArray, by: FloatArray) -> tuple[TableArray, TableArray]:
     """Grow bodies and required distances by (bodies + pairs,) [m]."""
-    movers, is_pair = movers.copy(), movers[:, IS_PAIR] > 0.0
-    for columns, chosen in (((ROUNDING, BALL_RADIUS, AXIS_RADIUS), ~is_pair), ((TOUCHING, BALLS, AXES), is_pair)):
-        for column in columns:
-            movers[chosen, column] += by[chosen]
-    return movers
+    bodies, pairs = bodies.copy(), pairs.copy()
+    for name in ("rounding", "ball_radius", "axis_radius"):
+        bodies[name] += by[: len(bodies)]
+    for name in ("hull_distance", "ball_distance", "axis_distance"):
+        pairs[name] += by[len(bodies) :]
+    return frozen(bodies), frozen(pairs)
 
 
 def _of_any_arm(robot: Robot) -> FlatBodies:
@@ -113,35 +149,33 @@ def _flat(
 
     `meets` marks the bodies that are checked against obstacles.
     """
-    joints, count = joint_numbers(robot), len(bodies)
     alone = np.array([points_reach(robot, body.core, body.joint) for body in bodies]).reshape(-1, robot.dof)
-    reaches = np.concatenate([alone, np.zeros((len(pairs), robot.dof))])
     carried = [carriers(robot, body.joint) for body in bodies]
-    first = HEAD + joints.size + reaches.size
-    head = [count, robot.dof, HEAD, HEAD + joints.size]
-    rows, points = np.zeros((len(reaches), COLUMNS)), list[FloatArray]()
-    for row, body in enumerate(bodies):
-        rows[row, JOINT] = robot.dof if body.joint == GROUND else body.joint
+    rows, points, first = np.zeros(len(bodies), BODY), list[FloatArray](), 0
+    for row, body, is_checked in zip(rows, bodies, meets, strict=True):
         end = first + body.core.size
         table = corner_table(body.core, first, end)
-        rows[row, FIRST], rows[row, LAST], rows[row, TABLE] = first, end, end if len(table) else 0
+        row["joint"] = robot.dof if body.joint == GROUND else body.joint
+        row["first"], row["last"], row["table"] = first, end, end if len(table) else 0
         points += [body.core.ravel(), table]
         first = end + len(table)
-        rows[row, ROUNDING] = body.rounding
-        rows[row, BALL:BALL_RADIUS], radius = ball_about(body.core)
-        rows[row, BALL_RADIUS] = radius * (1.0 + 1e-12) + body.rounding
-        rows[row, AXIS:AXIS_RADIUS], radius = _axis(body.core)
-        rows[row, AXIS_RADIUS] = radius * (1.0 + 1e-12) + body.rounding
-        rows[row, MEETS] = float(meets[row])
-    for row, (i, j) in enumerate(pairs, start=count):
-        rows[row, OUTER], rows[row, INNER] = (i, j) if len(carried[i]) > len(carried[j]) else (j, i)
-        rows[row, TOUCHING] = bodies[i].rounding + bodies[j].rounding
-        rows[row, BALLS] = rows[i, BALL_RADIUS] + rows[j, BALL_RADIUS]
-        rows[row, AXES] = rows[i, AXIS_RADIUS] + rows[j, AXIS_RADIUS]
-        rows[row, IS_PAIR] = 1.0
+        row["rounding"], row["is_checked"] = body.rounding, is_checked
+        row["ball"], radius = ball_about(body.core)
+        row["ball_radius"] = radius * (1.0 + 1e-12) + body.rounding
+        row["axis_start"], row["axis_vector"], radius = _axis(body.core)
+        row["axis_radius"] = radius * (1.0 + 1e-12) + body.rounding
+    both, of_pairs = np.zeros(len(pairs), PAIR), np.zeros((len(pairs), robot.dof))
+    for row, reach, (i, j) in zip(both, of_pairs, pairs, strict=True):
+        row["outer"], row["inner"] = (i, j) if len(carried[i]) > len(carried[j]) else (j, i)
+        row["hull_distance"] = bodies[i].rounding + bodies[j].rounding
+        row["ball_distance"] = rows[i]["ball_radius"] + rows[j]["ball_radius"]
+        row["axis_distance"] = rows[i]["axis_radius"] + rows[j]["axis_radius"]
         between = sorted(set(carried[i]) ^ set(carried[j]))
-        reaches[row, between] = (alone[i] + alone[j])[between]
-    return FlatBodies(frozen(rows), frozen(np.concatenate([head, joints.ravel(), reaches.ravel(), *points])))
+        reach[between] = (alone[i] + alone[j])[between]
+    reaches = np.concatenate([alone, of_pairs])
+    return FlatBodies(
+        frozen(rows), frozen(both), joint_table(robot), frozen(reaches), frozen(np.concatenate([np.zeros(0), *points]))
+    )
 
 
 def _capsules(bodies: Sequence[CollisionBody]) -> Iterator[tuple[CollisionBody, tuple[int, ...]]]:
@@ -169,38 +203,27 @@ def _capsules(bodies: Sequence[CollisionBody]) -> Iterator[tuple[CollisionBody, 
 
 
 @made_once
-def joint_numbers(robot: Robot) -> FloatArray:
-    """(dof, JOINT_SIZE) numbers of the joints, cached."""
-    return frozen(np.array([_of_joint(robot, j) for j in range(robot.dof)]))
+def joint_table(robot: Robot) -> TableArray:
+    """(dof,) rows of `JOINT`, cached."""
+    table = np.zeros(robot.dof, JOINT)
+    for j, row in enumerate(table):
+        axis, slides = joint_axis(robot, j)
+        place = robot.model.jointPlacements[j + 1]
+        # Rodrigues' formula; the rotation of a prismatic joint is constant.
+        along = np.eye(3) if slides else np.outer(axis, axis)
+        across = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+        row["constant"] = (place.rotation @ along).ravel()
+        row["cosine"] = (place.rotation @ (np.eye(3) - along)).ravel()
+        row["sine"] = np.zeros(9) if slides else (place.rotation @ across).ravel()
+        row["position"] = place.translation
+        row["shift"] = place.rotation @ axis if slides else 0.0
+        parent = int(robot.model.parents[j + 1]) - 1
+        row["parent"] = robot.dof if parent < 0 else parent
+        row["axis"], row["slides"] = 0.0 if slides else axis, slides
+    return frozen(table)
 
 
-@made_once
-def joints_alone(robot: Robot) -> FloatArray:
-    """Numbers of a robot without bodies: head and joints, cached."""
-    return frozen(np.concatenate([[0.0, robot.dof, HEAD, HEAD], joint_numbers(robot).ravel()]))
-
-
-def _of_joint(robot: Robot, joint: int) -> FloatArray:
-    """(JOINT_SIZE,) numbers of a joint."""
-    model = robot.model
-    axis, slides = joint_axis(robot, joint)
-    place = model.jointPlacements[joint + 1]
-    numbers = np.zeros(JOINT_SIZE)
-    # Rodrigues' formula; the rotation of a prismatic joint is constant.
-    along = np.eye(3) if slides else np.outer(axis, axis)
-    across = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    numbers[0:9] = (place.rotation @ along).ravel()
-    numbers[9:18] = (place.rotation @ (np.eye(3) - along)).ravel()
-    numbers[18:27] = np.zeros(9) if slides else (place.rotation @ across).ravel()
-    numbers[PLACE:SHIFT] = place.translation
-    numbers[SHIFT:PARENT] = place.rotation @ axis if slides else 0.0
-    parent = int(model.parents[joint + 1]) - 1
-    numbers[PARENT] = robot.dof if parent < 0 else parent
-    numbers[TURN:JOINT_SIZE] = 0.0 if slides else axis
-    return numbers
-
-
-def _axis(core: FloatArray) -> tuple[FloatArray, float]:
+def _axis(core: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Start, vector and radius of a bounding capsule of some points.
 
     The segment has the direction of the maximum spread of the points; its ends are moved inward by the radius.
@@ -221,4 +244,4 @@ def _axis(core: FloatArray) -> tuple[FloatArray, float]:
     length = high - low
     at = np.clip((core - start) @ direction, 0.0, length)
     needed = float(np.linalg.norm(core - start - np.outer(at, direction), axis=1).max())
-    return np.concatenate([start, vector]), needed
+    return start, vector, needed

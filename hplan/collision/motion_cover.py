@@ -26,9 +26,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray
+from hplan.base.arrays import FloatArray, TableArray
 from hplan.base.kernels import any_int, inlined, kernel
-from hplan.collision import flat_bodies as flat
 from hplan.collision import obstacle_rows as row
 from hplan.collision.body_kernels import (
     NO_TABLE,
@@ -42,12 +41,12 @@ from hplan.collision.body_kernels import (
     span_of,
 )
 from hplan.collision.obstacle_rows import FieldArrays
-from hplan.collision.placed_bodies import CENTRE, PLACED, place_bodies
+from hplan.collision.placed_bodies import PLACED, place_bodies
 from hplan.collision.twists import MOVING, TWIST, find_twists
 from hplan.geometry.convex_distance import NEAREST, SEPARATING, WORK, Span, Wanted, core_distance
 from hplan.geometry.segment_distance import point_segment
 from hplan.geometry.sweep import Sweep, used_up
-from hplan.geometry.vectors import Vector, cross, dot, sub, turned_back
+from hplan.geometry.vectors import Vector, cross, dot, sub, turned_back, vector_of
 
 _FIRST_ROW = any_int(0)
 
@@ -88,9 +87,13 @@ class Moving(NamedTuple):
 @kernel
 def moving_arm(field: FieldArrays, dof: int, bends: FloatArray, margin: float) -> Moving:
     """Prepare an arm in motion, not placed yet."""
-    placed, frames = np.empty((int(field.numbers[flat.BODIES]), PLACED)), np.empty((dof + 1, MOVING))
-    arm = BodyArrays(field.movers, field.numbers, field.solids, field.data, placed, frames, np.empty(WORK + 6))
-    return Moving(arm, bends, margin)
+    bodies, frames, work = field.bodies, np.empty((dof + 1, MOVING)), np.empty(WORK + 6)
+    placed = np.empty(len(bodies), PLACED)
+    return Moving(
+        BodyArrays(bodies, field.pairs, field.joints, field.points, field.solids, field.data, placed, frames, work),
+        bends,
+        margin,
+    )
 
 
 @kernel
@@ -105,26 +108,26 @@ def part_shown_clear(q: FloatArray, rates: FloatArray, moving: Moving, back: flo
         forward: Requested length of the segment after; the result is no longer.
     """
     arm, bends = moving.arm, moving.bends
-    movers, solids, placed, margin = arm.movers, arm.solids, arm.placed, moving.margin
-    place_bodies(q, movers, arm.numbers, arm.frames, placed)
-    find_twists(rates, arm.numbers, arm.frames)
-    bodies = placed.shape[0]
-    part = Part(back, forward)
+    bodies, pairs, solids, placed, margin = arm.bodies, arm.pairs, arm.solids, arm.placed, moving.margin
+    place_bodies(q, bodies, arm.joints, arm.frames, placed)
+    find_twists(rates, arm.joints, arm.frames)
+    count, part = len(bodies), Part(back, forward)
     # From the tip on: bodies carried by more joints move farther and are in contact more often.
-    for turn in range(movers.shape[0]):
-        k = bodies - 1 - turn if turn < bodies else turn
-        if k < bodies:
-            if movers[k, flat.MEETS] > 0.0:
+    for turn in range(count + len(pairs)):
+        k = count - 1 - turn if turn < count else turn
+        if k < count:
+            if bodies[k].is_checked:
                 # The first row whose ball comes near. (Inlined, because a call with all arrays costs more than a few
                 # rows.)
-                x, y, z = placed[k, CENTRE], placed[k, CENTRE + 1], placed[k, CENTRE + 2]
-                ball, axis = movers[k, flat.BALL_RADIUS], movers[k, flat.AXIS_RADIUS]
+                x, y, z = vector_of(placed[k].centre)
+                ball, axis = bodies[k].ball_radius, bodies[k].axis_radius
                 lasts = margin + max(part.back, part.forward) * bends[k, 0]
                 start, along = segment_of(placed, k)
                 s = _FIRST_ROW
-                while s < solids.shape[0]:
-                    centre = (solids[s, row.CENTRE], solids[s, row.CENTRE + 1], solids[s, row.CENTRE + 2])
-                    dx, dy, dz, around = centre[0] - x, centre[1] - y, centre[2] - z, lasts + solids[s, row.BOUND]
+                while s < len(solids):
+                    solid = solids[s]
+                    centre = vector_of(solid.centre)
+                    dx, dy, dz, around = centre[0] - x, centre[1] - y, centre[2] - z, lasts + solid.bound
                     within = ball + around
                     if (
                         dx * dx + dy * dy + dz * dz <= within * within
@@ -132,15 +135,11 @@ def part_shown_clear(q: FloatArray, rates: FloatArray, moving: Moving, back: flo
                     ):
                         part = _of_body(moving, k, s, part)
                         break
-                    s = int(solids[s, row.NEXT]) if solids[s, row.KIND] >= row.NODE else s + 1
+                    s = solid.next if solid.kind >= row.NODE else s + 1
         else:
-            i, j = int(movers[k, flat.INNER]), int(movers[k, flat.OUTER])
-            x, y, z = (
-                placed[j, CENTRE] - placed[i, CENTRE],
-                placed[j, CENTRE + 1] - placed[i, CENTRE + 1],
-                placed[j, CENTRE + 2] - placed[i, CENTRE + 2],
-            )
-            beyond = movers[k, flat.BALLS] + margin + max(part.back, part.forward) * bends[k, 0]
+            pair = pairs[k - count]
+            x, y, z = sub(vector_of(placed[pair.outer].centre), vector_of(placed[pair.inner].centre))
+            beyond = pair.ball_distance + margin + max(part.back, part.forward) * bends[k, 0]
             if x * x + y * y + z * z < beyond * beyond:
                 part = _of_pair(moving, k, part)
         if part.forward < 0.0:
@@ -240,11 +239,10 @@ def _of_body(moving: Moving, b: int, first: int, part: Part) -> Part:
     Rows before `first` are known to be far.
     """
     arm = moving.arm
-    movers, solids, placed, frames = arm.movers, arm.solids, arm.placed, arm.frames
-    centre = (placed[b, CENTRE], placed[b, CENTRE + 1], placed[b, CENTRE + 2])
-    ball, joint = movers[b, flat.BALL_RADIUS], int(movers[b, flat.JOINT])
-    thickness, thin = movers[b, flat.AXIS_RADIUS], is_thin(movers, b)
-    core = ball - movers[b, flat.ROUNDING]
+    body, solids, placed, frames = arm.bodies[b], arm.solids, arm.placed, arm.frames
+    centre, joint = vector_of(placed[b].centre), body.joint
+    ball, thickness, thin = body.ball_radius, body.axis_radius, is_thin(arm.bodies, b)
+    core = ball - body.rounding
     spin, at_origin = _spin(frames, joint), _drift(frames, joint)
     moved = cross(spin, centre)
     velocity = (at_origin[0] + moved[0], at_origin[1] + moved[1], at_origin[2] + moved[2])
@@ -252,14 +250,14 @@ def _of_body(moving: Moving, b: int, first: int, part: Part) -> Part:
     motion = _Motion(velocity, spin, core, speed, moving.bends[b, 0], moving.bends[b, 1], moving.margin)
     enough = _farthest(motion, part)
     following = first
-    while following < solids.shape[0]:
+    while following < len(solids):
         s = following
-        solid = (solids[s, row.CENTRE], solids[s, row.CENTRE + 1], solids[s, row.CENTRE + 2])
-        away = sub(centre, solid)
-        within = enough + ball + solids[s, row.BOUND]
-        kind = solids[s, row.KIND]
+        solid = solids[s]
+        middle, kind = vector_of(solid.centre), solid.kind
+        away = sub(centre, middle)
+        within = enough + ball + solid.bound
         if dot(away, away) > within * within:
-            following = int(solids[s, row.NEXT]) if kind >= row.NODE else s + 1
+            following = solid.next if kind >= row.NODE else s + 1
             continue
         following = s + 1
         before = part
@@ -269,16 +267,16 @@ def _of_body(moving: Moving, b: int, first: int, part: Part) -> Part:
                 # Vector from the solid's core to the body's axis segment.
                 x, y, z, _, shown = off_row(placed, b, solids, s)
                 if shown > 0.0:
-                    away, clear = (x, y, z), shown - solids[s, row.RADIUS] - thickness
+                    away, clear = (x, y, z), shown - solid.radius - thickness
                     if clear >= enough or clear >= used_up(_sweep(motion, part), away, math.sqrt(dot(away, away))):
                         continue
                     is_known = thin and shown * shown >= _SURELY * dot(away, away)
             part = _left(motion, away, clear, part) if is_known else _of_row(moving, (b, s), away, motion, part)
         elif kind == row.JOINT_RANGE:
-            if not solids[s, row.FIRST_JOINT] <= joint <= solids[s, row.LAST_JOINT]:
-                following = int(solids[s, row.NEXT])
-        elif _is_apart(motion, part, _off_axis(placed, b, solid), solids[s, row.BOUND] + thickness):
-            following = int(solids[s, row.NEXT])
+            if not solid.first <= joint <= solid.last:
+                following = solid.next
+        elif _is_apart(motion, part, _off_axis(placed, b, middle), solid.bound + thickness):
+            following = solid.next
         elif kind == row.LEAF:
             part = _of_lot(moving, (b, s), motion, part)
         if part.forward < 0.0:
@@ -289,7 +287,7 @@ def _of_body(moving: Moving, b: int, first: int, part: Part) -> Part:
 
 
 @kernel
-def _off_axis(placed: FloatArray, b: int, point: Vector) -> Vector:
+def _off_axis(placed: TableArray, b: int, point: Vector) -> Vector:
     """Vector from a point to its nearest point on a body's axis."""
     start, along = segment_of(placed, b)
     start = sub(start, point)
@@ -314,11 +312,12 @@ def _is_apart(motion: _Motion, part: Part, away: Vector, radii: float) -> bool:
 def _of_hull(moving: Moving, k: int, other: tuple[FloatArray, Span, float], motion: _Motion, part: Part) -> Part:
     """Part of a segment verified by the clearance from a rounded hull."""
     arm = moving.arm
-    points, other_span, radius = other
-    work, radii = arm.work, radius + arm.movers[k, flat.ROUNDING]
+    corners, other_span, radius = other
+    bodies, work = arm.bodies, arm.work
+    radii = radius + bodies[k].rounding
     wanted = Wanted(math.inf, motion.margin + radii, _ROUGH, radii, _sweep(motion, part))
-    pose = pose_of(arm.frames, int(arm.movers[k, flat.JOINT]))
-    distance = core_distance(arm.numbers, span_of(arm.movers, k), pose, points, other_span, wanted, work)
+    pose = pose_of(arm.frames, bodies[k].joint)
+    distance = core_distance(arm.points, span_of(bodies, k), pose, corners, other_span, wanted, work)
     if distance == math.inf:
         return part
     direction = (work[SEPARATING], work[SEPARATING + 1], work[SEPARATING + 2])
@@ -334,11 +333,11 @@ def _of_row(moving: Moving, place: tuple[int, int], away: Vector, motion: _Motio
         away: A direction from the primitive to the body.
     """
     (k, s), arm = place, moving.arm
-    solids, data, work = arm.solids, arm.data, arm.work
+    solid, data, work = arm.solids[s], arm.data, arm.work
     work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = away
-    first = int(solids[s, row.CORNERS])
+    first = solid.corners
     span = first, int(data[first - 2]), int(data[first - 1])
-    return _of_hull(moving, k, (data, span, solids[s, row.RADIUS]), motion, part)
+    return _of_hull(moving, k, (data, span, solid.radius), motion, part)
 
 
 @kernel
@@ -348,10 +347,10 @@ def _of_lot(moving: Moving, place: tuple[int, int], motion: _Motion, part: Part)
     `place` are the indices of the body and of the leaf.
     """
     (k, s), arm = place, moving.arm
-    solids, data, placed, work = arm.solids, arm.data, arm.placed, arm.work
-    radius = solids[s, row.RADIUS]
-    radii, thin = radius + arm.movers[k, flat.AXIS_RADIUS], is_thin(arm.movers, k)
-    for p in range(int(solids[s, row.POINTS]), int(solids[s, row.POINTS_END]), 3):
+    solid, bodies, data, placed, work = arm.solids[s], arm.bodies, arm.data, arm.placed, arm.work
+    radius = solid.radius
+    radii, thin = radius + bodies[k].axis_radius, is_thin(bodies, k)
+    for p in range(solid.first, solid.last, 3):
         off = _off_axis(placed, k, (data[p], data[p + 1], data[p + 2]))
         if not _is_apart(motion, part, off, radii):
             if thin:
@@ -368,27 +367,28 @@ def _of_lot(moving: Moving, place: tuple[int, int], motion: _Motion, part: Part)
 def _of_pair(moving: Moving, k: int, part: Part) -> Part:
     """Part of a segment verified by the clearance of a self-collision pair."""
     arm = moving.arm
-    movers, numbers, placed, frames, work = arm.movers, arm.numbers, arm.placed, arm.frames, arm.work
-    j, i, touching = int(movers[k, flat.OUTER]), int(movers[k, flat.INNER]), movers[k, flat.TOUCHING]
-    outer, inner = int(movers[j, flat.JOINT]), int(movers[i, flat.JOINT])
-    centre = (placed[j, CENTRE], placed[j, CENTRE + 1], placed[j, CENTRE + 2])
-    away = sub(centre, (placed[i, CENTRE], placed[i, CENTRE + 1], placed[i, CENTRE + 2]))
+    bodies, points, placed, frames, work = arm.bodies, arm.points, arm.placed, arm.frames, arm.work
+    pair = arm.pairs[k - len(bodies)]
+    j, i, touching = pair.outer, pair.inner, pair.hull_distance
+    outer, inner = bodies[j].joint, bodies[i].joint
+    centre = vector_of(placed[j].centre)
+    away = sub(centre, vector_of(placed[i].centre))
     spin = sub(_spin(frames, outer), _spin(frames, inner))
     at_origin = sub(_drift(frames, outer), _drift(frames, inner))
     moved = cross(spin, centre)
     velocity = (at_origin[0] + moved[0], at_origin[1] + moved[1], at_origin[2] + moved[2])
-    core = movers[j, flat.BALL_RADIUS] - movers[j, flat.ROUNDING]
+    core = bodies[j].ball_radius - bodies[j].rounding
     most, bend = moving.bends[k, 0], moving.bends[k, 1]
     seen = _Motion(velocity, spin, core, most, most, bend, moving.margin)
-    if _is_apart(seen, part, away, movers[k, flat.BALLS]):
+    if _is_apart(seen, part, away, pair.ball_distance):
         return part
     x, y, z, _, shown = off_body(placed, j, i)
     if shown > 0.0:
-        away, clear = (x, y, z), shown - movers[k, flat.AXES]
+        away, clear = (x, y, z), shown - pair.axis_distance
         length = math.sqrt(dot(away, away))
         if clear > 0.0 and clear >= used_up(_sweep(seen, part), away, length):
             return part
-        if is_thin(movers, i) and is_thin(movers, j) and shown * shown >= _SURELY * length * length:
+        if is_thin(bodies, i) and is_thin(bodies, j) and shown * shown >= _SURELY * length * length:
             return _left(seen, away, clear, part)
     # Expressed in the inner body's frame.
     pose = pose_of(frames, inner)
@@ -396,7 +396,7 @@ def _of_pair(moving: Moving, k: int, part: Part) -> Part:
     motion = _Motion(turned_back(pose, velocity), turned_back(pose, spin), core, most, most, bend, moving.margin)
     wanted = Wanted(math.inf, moving.margin + touching, _ROUGH, touching, _sweep(motion, part))
     distance = core_distance(
-        numbers, span_of(movers, j), difference(frames, outer, inner), numbers, span_of(movers, i), wanted, work
+        points, span_of(bodies, j), difference(frames, outer, inner), points, span_of(bodies, i), wanted, work
     )
     if distance == math.inf:
         return part

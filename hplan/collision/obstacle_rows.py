@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeVar, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.base.arrays import BoolArray, FloatArray, IntArray
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, TableArray
 from hplan.base.deadline import check_deadline
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.convex_distance import corner_table
@@ -24,28 +24,37 @@ from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
 
 #: Kinds of rows. Nodes and leaves belong to the tree of a cloud, and a leaf has points; rows below a joint range
 #: concern only the bodies that these joints carry.
-POINT, SEGMENT, BOX, HULL, NODE, LEAF, JOINT_RANGE = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0
-
-#: Columns of every row: its kind, the radius around its core, its bounding ball (centre (3) and radius), and the row to
-#: continue with if that ball is too far.
-KIND, RADIUS, CENTRE, BOUND, NEXT = 0, 1, 2, 5, 20
-_COLUMNS = 21
+POINT, SEGMENT, BOX, HULL, NODE, LEAF, JOINT_RANGE = 0, 1, 2, 3, 4, 5, 6
 
 #: Owner of joint-range rows.
 RANGE = -2
 
-#: Columns of one kind, from `SHAPE` on. Point: its position (3). Segment: its two ends (3 each). Box: its half sizes
-#: (3), then its axes (3 rows of 3). Hull (only in `solid_rows`): start of its facets in the data, start and end of its
-#: edges. Leaf: start and end of its points there.
-SHAPE, SECOND_END, AXES, _FACETS, _EDGES, _EDGES_END, POINTS, POINTS_END = 6, 9, 9, 6, 7, 8, 6, 7
-
+#: Columns of a row: its kind; the row to continue with if its bounding ball is too far; that ball; the radius around
+#: its core. A point has a start, a segment start and end, a box half sizes and, by rows, its axes. A leaf has points in
+#: the data from `first` to `last`, a joint range has joints; a hull, in `solid_rows`, has facets up to `edges`, then
+#: edges.
+#:
 #: In `rows_of`, every kind that is a single hull also has the index of its corners in the data. Two numbers precede the
 #: corners: the index of their end, and the index of their table (`hplan.geometry.convex_distance`) after them, 0 for no
 #: table.
-CORNERS = 18
-
-#: Joint range: its first and its last joint.
-FIRST_JOINT, LAST_JOINT = 6, 7
+OBSTACLE = np.dtype(
+    [
+        ("kind", np.int64),
+        ("next", np.int64),
+        ("centre", np.float64, 3),
+        ("bound", np.float64),
+        ("radius", np.float64),
+        ("corners", np.int64),
+        ("first", np.int64),
+        ("edges", np.int64),
+        ("last", np.int64),
+        ("start", np.float64, 3),
+        ("end", np.float64, 3),
+        ("half", np.float64, 3),
+        ("axes", np.float64, 9),
+    ],
+    align=True,
+)
 
 #: Balls and capsules. (Exact types are compared because for hundreds of obstacles `isinstance` of pydantic models takes
 #: ten times as long, and longer for several types.)
@@ -64,9 +73,12 @@ class FieldArrays(NamedTuple):
     `until` is their deadline (`hplan.base.deadline`): results reached before it hold; after it nothing is verified.
     """
 
-    movers: FloatArray
-    numbers: FloatArray
-    solids: FloatArray
+    bodies: TableArray
+    pairs: TableArray
+    joints: TableArray
+    reaches: FloatArray
+    points: FloatArray
+    solids: TableArray
     data: FloatArray
     until: FloatArray
 
@@ -79,11 +91,11 @@ class _Stack:
     """
 
     def __init__(self) -> None:
-        self._rows, self._data = [np.zeros((0, _COLUMNS))], [np.zeros(0)]
+        self._rows, self._data = [np.zeros(0, OBSTACLE)], [np.zeros(0)]
         self._owner = [np.zeros(0, dtype=np.int64)]
         self._count = self.numbers = 0
 
-    def add(self, rows: FloatArray, owner: int | IntArray, data: FloatArray | None = None) -> None:
+    def add(self, rows: TableArray, owner: int | IntArray, data: FloatArray | None = None) -> None:
         """Add rows with their owner and data.
 
         Args:
@@ -91,7 +103,7 @@ class _Stack:
             owner: Owner of all the rows, or of each.
             data: Data of the rows; None for no data.
         """
-        rows[:, NEXT] += self._count
+        rows["next"] += self._count
         self._rows.append(rows)
         self._owner.append(np.full(len(rows), owner, dtype=np.int64))
         self._count += len(rows)
@@ -100,12 +112,12 @@ class _Stack:
             self.numbers += len(data)
 
     @property
-    def arrays(self) -> tuple[FloatArray, FloatArray, IntArray]:
+    def arrays(self) -> tuple[TableArray, FloatArray, IntArray]:
         """All rows, their data, and the owner of each row."""
         return np.concatenate(self._rows), np.concatenate(self._data), np.concatenate(self._owner)
 
 
-def solid_rows(obstacles: Sequence[Solid], clearance: float) -> tuple[FloatArray, FloatArray]:
+def solid_rows(obstacles: Sequence[Solid], clearance: float) -> tuple[TableArray, FloatArray]:
     """Rows of obstacles grown by a clearance [m], for distances of points.
 
     The data are the facets and edges of the hulls.
@@ -119,7 +131,7 @@ def solid_rows(obstacles: Sequence[Solid], clearance: float) -> tuple[FloatArray
 
 def rows_of(
     obstacles: Sequence[Solid], clearance: ArrayLike, joints: BoolArray | None = None
-) -> tuple[FloatArray, FloatArray, IntArray]:
+) -> tuple[TableArray, FloatArray, IntArray]:
     """Rows of obstacles, with the corners of each.
 
     Args:
@@ -147,81 +159,80 @@ def rows_of(
     return stack.arrays
 
 
-def _solid_rows(obstacles: Sequence[Solid], clearances: Sequence[float], offset: int) -> tuple[FloatArray, FloatArray]:
+def _solid_rows(obstacles: Sequence[Solid], clearances: Sequence[float], offset: int) -> tuple[TableArray, FloatArray]:
     """One row for each obstacle, with indices from 0, and their corners.
 
     The corners start at index `offset` of the data.
     """
-    rows, data = np.zeros((len(obstacles), _COLUMNS)), [np.zeros(0)]
+    rows, data = np.zeros(len(obstacles), OBSTACLE), [np.zeros(0)]
     is_round = [type(solid) in _ROUND for solid in obstacles]
     if any(is_round):
         balls = [solid for solid in obstacles if type(solid) in _ROUND]
         radii = [clearance for clearance, chosen in zip(clearances, is_round, strict=False) if chosen]
         rows[is_round] = found = _round_rows(cast(Sequence[Sphere | Capsule], balls), radii)
         corners = offset + 2 + 8 * np.arange(len(found))
-        rows[is_round, CORNERS] = corners
-        end_of = corners + np.where(found[:, KIND] == POINT, 3, 6)
-        data.append(np.column_stack([end_of, np.zeros(len(found)), found[:, SHAPE : SHAPE + 6]]).ravel())
+        rows["corners"][is_round] = corners
+        end_of = corners + np.where(found["kind"] == POINT, 3, 6)
+        data.append(np.column_stack([end_of, np.zeros(len(found)), found["start"], found["end"]]).ravel())
         offset += data[-1].size
     for number in np.flatnonzero(~np.array(is_round)).tolist():
         solid, first = obstacles[number], offset + 2
         end = first + solid.core.size
         table = corner_table(solid.core, first, end, None if isinstance(solid, Box | Cloud) else solid.hull.faces)
-        rows[number], rows[number, CORNERS] = _rows(solid, clearances[number], offset)[0][0], first
+        rows[number], rows["corners"][number] = _rows(solid, clearances[number], offset)[0][0], first
         data.append(np.concatenate([[end, end if len(table) else 0], solid.core.ravel(), table]))
         offset += data[-1].size
     return rows, np.concatenate(data)
 
 
-def _round_rows(obstacles: Sequence[Sphere | Capsule], clearances: Sequence[float]) -> FloatArray:
+def _round_rows(obstacles: Sequence[Sphere | Capsule], clearances: Sequence[float]) -> TableArray:
     """Rows of balls and capsules grown by clearances [m], indices from 0."""
-    rows = np.zeros((len(obstacles), _COLUMNS))
+    rows = np.zeros(len(obstacles), OBSTACLE)
     radius = np.array([obstacle.radius for obstacle in obstacles]) + clearances
     # A ball is read as a segment of zero length; its row holds the first end only.
     is_ball = np.array([type(obstacle) is Sphere for obstacle in obstacles], dtype=np.bool_)
     ends = [(o.center, o.center) if isinstance(o, Sphere) else (o.start, o.end) for o in obstacles]
     start, end = np.array(ends).transpose(1, 0, 2)
     reach = 0.5 * np.array([math.dist(*both) for both in ends])
-    rows[:, KIND] = np.where(is_ball, POINT, SEGMENT)
-    rows[:, SHAPE : SHAPE + 3] = start
-    rows[:, SECOND_END : SECOND_END + 3] = np.where(is_ball[:, None], 0.0, end)
-    rows[:, CENTRE:BOUND] = np.where(is_ball[:, None], start, 0.5 * (start + end))
-    rows[:, RADIUS], rows[:, BOUND] = radius, _bounding(reach, radius)
-    rows[:, NEXT] = 1.0
+    rows["kind"] = np.where(is_ball, POINT, SEGMENT)
+    rows["start"], rows["end"] = start, np.where(is_ball[:, None], 0.0, end)
+    rows["centre"] = np.where(is_ball[:, None], start, 0.5 * (start + end))
+    rows["radius"], rows["bound"] = radius, _bounding(reach, radius)
+    rows["next"] = 1
     return rows
 
 
-def grouped(rows: FloatArray, owner: IntArray) -> tuple[FloatArray, IntArray]:
+def grouped(rows: TableArray, owner: IntArray) -> tuple[TableArray, IntArray]:
     """Arrange single rows of obstacles below nodes with bounding balls of neighbours.
 
     Args:
-        rows: (n, columns) rows, each with indices from 0.
+        rows: (n,) rows, each with indices from 0.
         owner: (n,) owners of the rows.
 
     Returns:
         The reordered rows, with the nodes among them, and their owners: -1 for a node.
     """
     if len(rows) < _MANY:
-        rows[:, NEXT] += np.arange(len(rows))
+        rows["next"] += np.arange(len(rows))
         return rows, owner
-    is_large = rows[:, BOUND] > _LARGE * np.median(rows[:, BOUND])
-    alone, ordered = np.flatnonzero(is_large), _by_neighbourhood(rows[:, CENTRE:BOUND], ~is_large)
+    is_large = rows["bound"] > _LARGE * np.median(rows["bound"])
+    alone, ordered = np.flatnonzero(is_large), _by_neighbourhood(rows["centre"], ~is_large)
     count = len(ordered)
     small = np.arange(0, count, _SIZE)
     large = small[::_SIZE]
     firsts = np.concatenate([large, small, np.arange(count)])
     ends = np.concatenate([*(np.append(starts[1:], count) for starts in (large, small)), np.arange(1, count + 1)])
-    nodes = np.zeros((len(large) + len(small), _COLUMNS))
-    nodes[:, KIND] = NODE
-    balls = rows[ordered, CENTRE : BOUND + 1]
-    nodes[:, CENTRE : BOUND + 1] = np.concatenate([_around(balls, large), _around(balls, small)])
+    nodes = np.zeros(len(large) + len(small), OBSTACLE)
+    nodes["kind"] = NODE
+    around = [_around(rows[ordered], firsts) for firsts in (large, small)]
+    nodes["centre"], nodes["bound"] = (np.concatenate(parts) for parts in zip(*around, strict=True))
     # Sorted by the first obstacle of each: the larger group before the smaller one before the obstacle.
     order = np.argsort(firsts, kind="stable")
     found = np.concatenate([rows[alone], np.concatenate([nodes, rows[ordered]])[order]])
-    found[: len(alone), NEXT] = np.arange(1, len(alone) + 1)
+    found["next"][: len(alone)] = np.arange(1, len(alone) + 1)
     is_node = order < len(nodes)
     following = np.where(is_node, np.searchsorted(firsts[order], ends[order]), np.arange(1, len(order) + 1))
-    found[len(alone) :, NEXT] = len(alone) + following
+    found["next"][len(alone) :] = len(alone) + following
     owners = np.concatenate([np.full(len(nodes), -1), owner[ordered]])[order]
     return found, np.concatenate([owner[alone], owners])
 
@@ -239,17 +250,18 @@ def _by_neighbourhood(centres: FloatArray, chosen: BoolArray) -> IntArray:
     return numbers[np.argsort(key, kind="stable")]
 
 
-def _around(balls: FloatArray, firsts: IntArray) -> FloatArray:
-    """(k, 4) balls around groups of (n, 4) balls.
+def _around(rows: TableArray, firsts: IntArray) -> tuple[FloatArray, FloatArray]:
+    """(k, 3) centres and (k,) radii of balls around groups of rows' balls.
 
     Never too small by rounding errors. A group extends from one of `firsts` to the next.
     """
-    low = np.minimum.reduceat(balls[:, :3] - balls[:, 3:], firsts)
-    high = np.maximum.reduceat(balls[:, :3] + balls[:, 3:], firsts)
+    middles, radii = rows["centre"], rows["bound"]
+    low = np.minimum.reduceat(middles - radii[:, None], firsts)
+    high = np.maximum.reduceat(middles + radii[:, None], firsts)
     centres = 0.5 * (low + high)
-    counts = np.diff(np.append(firsts, len(balls)))
-    away = np.linalg.norm(balls[:, :3] - np.repeat(centres, counts, axis=0), axis=1) + balls[:, 3]
-    return np.column_stack([centres, np.maximum.reduceat(away, firsts) * (1.0 + 1e-12)])
+    counts = np.diff(np.append(firsts, len(rows)))
+    away = np.linalg.norm(middles - np.repeat(centres, counts, axis=0), axis=1) + radii
+    return centres, np.maximum.reduceat(away, firsts) * (1.0 + 1e-12)
 
 
 def _bounding(reach: _Lengths, radius: _Lengths) -> _Lengths:
@@ -257,7 +269,7 @@ def _bounding(reach: _Lengths, radius: _Lengths) -> _Lengths:
     return (reach + radius) * (1.0 + 1e-12)
 
 
-def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, FloatArray]:
+def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[TableArray, FloatArray]:
     """Rows of an obstacle with indices from 0, and their data.
 
     The rows refer to the data from index `offset` on.
@@ -267,23 +279,21 @@ def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, F
     if isinstance(obstacle, Sphere | Capsule):
         return _round_rows([obstacle], [clearance]), np.zeros(0)
     data = np.zeros(0)
-    row = np.zeros((1, _COLUMNS))
-    first = row[0]
-    radius = obstacle.rounding + clearance
+    row = np.zeros(1, OBSTACLE)
+    row["next"], row["radius"] = 1, obstacle.rounding + clearance
     if isinstance(obstacle, Box):
-        first[KIND], first[SHAPE : SHAPE + 3] = BOX, 0.5 * np.array(obstacle.size)
-        first[AXES : AXES + 9] = obstacle.rotation.T.ravel()  # Rows: the box's axes in base_link.
+        row["kind"], row["half"] = BOX, 0.5 * np.array(obstacle.size)
+        row["axes"] = obstacle.rotation.T.ravel()  # Rows: the box's axes in base_link.
         centre, reach = obstacle.center, 0.5 * math.hypot(*obstacle.size)
     else:
         flat = obstacle.hull
         data = np.concatenate([flat.planes.ravel(), flat.edges.ravel()])
-        first[KIND], first[_FACETS], first[_EDGES] = HULL, offset, offset + flat.planes.size
-        first[_EDGES_END] = offset + len(data)
+        row["kind"], row["first"], row["edges"] = HULL, offset, offset + flat.planes.size
+        row["last"] = offset + len(data)
         low, high = flat.core.min(axis=0), flat.core.max(axis=0)
         centre = tuple((0.5 * (low + high)).tolist())
         reach = float(np.linalg.norm(flat.core - centre, axis=1).max())
-    first[RADIUS], first[CENTRE:BOUND], first[BOUND] = radius, centre, _bounding(reach, radius)
-    first[NEXT] = 1
+    row["centre"], row["bound"] = centre, _bounding(reach, obstacle.rounding + clearance)
     return row, data
 
 
@@ -292,7 +302,7 @@ def _concerned(count: int, joints: BoolArray | None) -> list[bytes]:
     return [b""] * count if joints is None else [row.tobytes() for row in joints]
 
 
-def _for_joints(rows: FloatArray, owner: IntArray, joints: BoolArray | None) -> tuple[FloatArray, IntArray]:
+def _for_joints(rows: TableArray, owner: IntArray, joints: BoolArray | None) -> tuple[TableArray, IntArray]:
     """Rows and owners below each range of the joints they concern.
 
     The rows are repeated below each range of the (dof,) mask `joints`. Joint-range rows have the owner `RANGE`. With
@@ -302,11 +312,11 @@ def _for_joints(rows: FloatArray, owner: IntArray, joints: BoolArray | None) -> 
         return rows, owner
     blocks, owners, count, chosen = [rows[:0]], [owner[:0]], 0, np.flatnonzero(joints)
     for run in np.split(chosen, np.flatnonzero(np.diff(chosen) > 1) + 1) if len(chosen) else []:
-        block = np.concatenate([np.zeros((1, _COLUMNS)), rows])
-        block[0, KIND], block[0, FIRST_JOINT], block[0, LAST_JOINT] = JOINT_RANGE, run[0], run[-1]
-        block[0, CENTRE : BOUND + 1] = _around(rows[:, CENTRE : BOUND + 1], np.zeros(1, dtype=np.int64))[0]
-        block[0, NEXT] = len(rows)
-        block[:, NEXT] += count + 1
+        head = np.zeros(1, OBSTACLE)
+        head["kind"], head["first"], head["last"], head["next"] = JOINT_RANGE, run[0], run[-1], len(rows)
+        head["centre"], head["bound"] = _around(rows, np.zeros(1, dtype=np.int64))
+        block = np.concatenate([head, rows])
+        block["next"] += count + 1
         count += len(block)
         blocks.append(block)
         owners += [np.array([RANGE]), owner]
@@ -330,14 +340,14 @@ def convex_solid(name: str, core: FloatArray, rounding: float) -> Solid:
     return whole_hull(core, name, rounding)
 
 
-def _cloud_rows(cloud: Cloud, clearance: float, offset: int) -> FloatArray:
+def _cloud_rows(cloud: Cloud, clearance: float, offset: int) -> TableArray:
     """Rows of the nodes of a cloud's tree."""
     tree = cloud.tree
-    rows = np.zeros((len(tree), _COLUMNS))
-    rows[:, KIND] = np.where(tree[:, 2] == np.arange(len(tree)) + 1, LEAF, NODE)  # A leaf has no descendants.
-    rows[:, RADIUS] = cloud.rounding + clearance
-    rows[:, CENTRE:BOUND] = tree[:, 3:6]
-    rows[:, BOUND] = tree[:, 6] * (1.0 + 1e-12) + rows[:, RADIUS]
-    rows[:, POINTS : POINTS_END + 1] = offset + 3 * tree[:, :2]
-    rows[:, NEXT] = tree[:, 2]
+    rows = np.zeros(len(tree), OBSTACLE)
+    rows["kind"] = np.where(tree[:, 2] == np.arange(len(tree)) + 1, LEAF, NODE)  # A leaf has no descendants.
+    rows["radius"] = cloud.rounding + clearance
+    rows["centre"] = tree[:, 3:6]
+    rows["bound"] = tree[:, 6] * (1.0 + 1e-12) + rows["radius"]
+    rows["first"], rows["last"] = (offset + 3 * tree[:, :2]).T
+    rows["next"] = tree[:, 2]
     return rows

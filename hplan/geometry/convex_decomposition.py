@@ -24,17 +24,24 @@ tolerance or there are `PIECES` parts.
 from __future__ import annotations
 
 import heapq
+import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
+from hplan.base.disk_cache import cached_arrays
+from hplan.geometry import hull
 from hplan.geometry.hull import CUBE_CORNERS, THIN, Hull, hull_of, shared_edges, thickening, triangle_normals
 
 #: Maximum number of convex parts of a mesh.
 PIECES: Final = 64
+
+#: Surfaces with fewer triangles are decomposed anew in each process, which takes some hundredths of a second.
+_FEW_FACES: Final = 100
 
 #: Vertices within this distance of a plane count as in it: the single-precision resolution at one metre [m].
 _IN_PLANE: Final = 1e-7
@@ -61,7 +68,9 @@ class Pieces:
 
 
 def convex_pieces(vertices: FloatArray, faces: IntArray, *, most: int = PIECES) -> Pieces:
-    """Decompose the solid inside a closed surface into convex parts.
+    """Decompose the solid inside a closed surface into convex parts; parts of detailed surfaces are kept on disk.
+
+    See `hplan.base.disk_cache`.
 
     Args:
         vertices: (n, 3) vertices [m].
@@ -71,6 +80,40 @@ def convex_pieces(vertices: FloatArray, faces: IntArray, *, most: int = PIECES) 
     Raises:
         ValueError: The vertices lie in one plane.
     """
+    if len(faces) < _FEW_FACES:
+        return _cut(vertices, faces, most)
+    parts = str(most).encode(), np.ascontiguousarray(vertices).tobytes(), np.ascontiguousarray(faces).tobytes()
+    found = cached_arrays(parts, (sys.modules[__name__], hull), lambda: _to_arrays(_cut(vertices, faces, most)))
+    return _from_arrays(found)
+
+
+def _to_arrays(pieces: Pieces) -> dict[str, np.ndarray[Any, Any]]:
+    """Arrays that hold the parts, one after the other."""
+    hulls = pieces.hulls
+    return {
+        "core": np.concatenate([part.core for part in hulls]),
+        "faces": np.concatenate([part.faces for part in hulls]),
+        "counts": np.array([(len(part.core), len(part.faces)) for part in hulls]),
+        "rounding": np.array([part.rounding for part in hulls]),
+        "excess": np.array(pieces.excess),
+        "names": np.array([part.name for part in hulls]),
+    }
+
+
+def _from_arrays(found: Mapping[str, np.ndarray[Any, Any]]) -> Pieces:
+    ends = np.cumsum(found["counts"], axis=0)[:-1]
+    rows = zip(
+        found["names"].tolist(),
+        np.split(found["core"], ends[:, 0]),
+        np.split(found["faces"], ends[:, 1]),
+        found["rounding"].tolist(),
+        strict=True,
+    )
+    return Pieces(tuple(Hull(*row) for row in rows), float(found["excess"]))
+
+
+def _cut(vertices: FloatArray, faces: IntArray, most: int) -> Pieces:
+    """Decompose without the cache."""
     whole = hull_of(vertices)
     if _is_convex(vertices, faces):
         return Pieces((whole,), whole.rounding)

@@ -5,13 +5,19 @@ from __future__ import annotations
 from typing import TypeAlias
 
 from hplan.base.arrays import FloatArray
-from hplan.base.kernels import kernel
+from hplan.base.kernels import inlined, kernel
 
 #: Three coordinates. A tuple stays in registers; an array would be allocated and reference-counted in each call.
 Vector: TypeAlias = tuple[float, float, float]
 
 #: A rotation, three rows of three numbers, and a translation [m].
 Pose: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
+
+
+@inlined
+def vector_of(numbers: FloatArray) -> Vector:
+    """The first three numbers, as a tuple."""
+    return numbers[0], numbers[1], numbers[2]
 
 
 @kernel

@@ -15,9 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hplan.base.arrays import BoolArray, FloatArray, IntArray
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, TableArray
 from hplan.base.kernels import kernel
-from hplan.collision import flat_bodies as flat
 from hplan.collision.placed_bodies import place_joints
 
 #: Tolerances of a reached pose [m, rad].
@@ -44,7 +43,7 @@ class Chain(NamedTuple):
     """Robot and pose constraint, as arrays.
 
     Attributes:
-        numbers: Flat array: head and joints as in `hplan.collision.flat_bodies`.
+        joints: Joints from `hplan.collision.flat_bodies.joint_table`.
         moves: (dof,) 1 for joints that may move and carry the frame, else 0.
         lower: (dof,) lower limits.
         upper: (dof,) upper limits.
@@ -54,7 +53,7 @@ class Chain(NamedTuple):
         free_turn: (2,) `KEPT`, `ABOUT_Z`, `ANY_TURN` or `UPRIGHT`; maximum tilt of the z axis for the last one [rad].
     """
 
-    numbers: FloatArray
+    joints: TableArray
     moves: FloatArray
     lower: FloatArray
     upper: FloatArray
@@ -274,8 +273,7 @@ def cholesky_solve(matrix: FloatArray, right: FloatArray, solution: FloatArray) 
 @kernel
 def linearise(chain: Chain, q: FloatArray, frames: FloatArray, error: FloatArray, jacobian: FloatArray) -> None:
     """Write joint frames, the (6,) pose error and the (6, dof) Jacobian."""
-    numbers, moves, pose = chain.numbers, chain.moves, chain.pose
-    given, joints = chain.free_turn[0], int(numbers[flat.JOINTS])
+    joints, moves, pose, given = chain.joints, chain.moves, chain.pose, chain.free_turn[0]
     free, turned, placed = given in (ABOUT_Z, UPRIGHT), given != ANY_TURN, given != UPRIGHT
     tool = np.empty(12)
     place_frame(chain, q, frames, tool)
@@ -293,16 +291,16 @@ def linearise(chain: Chain, q: FloatArray, frames: FloatArray, error: FloatArray
             jacobian[r, j] = 0.0
         if moves[j] == 0.0:
             continue
-        at, frame = joints + flat.JOINT_SIZE * j, frames[j]
-        below = frames[int(numbers[at + flat.PARENT])]
-        ax, ay, az = numbers[at + flat.TURN], numbers[at + flat.TURN + 1], numbers[at + flat.TURN + 2]
-        if ax == 0.0 and ay == 0.0 and az == 0.0:
+        joint, frame = joints[j], frames[j]
+        below, axis = frames[joint.parent], joint.axis
+        if joint.slides:
             if not placed:
                 continue
-            ax, ay, az = numbers[at + flat.SHIFT], numbers[at + flat.SHIFT + 1], numbers[at + flat.SHIFT + 2]
+            ax, ay, az = joint.shift[0], joint.shift[1], joint.shift[2]
             for r in range(3):
                 jacobian[r, j] = below[3 * r] * ax + below[3 * r + 1] * ay + below[3 * r + 2] * az
             continue
+        ax, ay, az = axis[0], axis[1], axis[2]
         x = frame[0] * ax + frame[1] * ay + frame[2] * az
         y = frame[3] * ax + frame[4] * ay + frame[5] * az
         z = frame[6] * ax + frame[7] * ay + frame[8] * az
@@ -342,7 +340,7 @@ def leaning(configurations: FloatArray, chain: Chain, cosines: FloatArray, slope
 def place_frame(chain: Chain, q: FloatArray, frames: FloatArray, tool: FloatArray) -> None:
     """Write the frames of all joints and the chain's (12,) pose."""
     placement = chain.placement
-    place_joints(q, chain.numbers, frames)
+    place_joints(q, chain.joints, frames)
     carrier = frames[int(chain.carrier[0])]
     for r in range(3):
         for c in range(3):

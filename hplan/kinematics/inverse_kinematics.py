@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from hplan.base import ties
 from hplan.base.arguments import list_of, truth, whole
 from hplan.base.arrays import FloatArray, frozen, numbers
-from hplan.collision import flat_bodies as flat
+from hplan.collision.flat_bodies import joint_table
 from hplan.collision.reach import carriers, joint_axis
 from hplan.errors import InputError, UnreachableError
 from hplan.kinematics.damped_steps import ABOUT_Z, KEPT, Chain, solve_all
@@ -130,9 +130,8 @@ def chain_of(robot: Robot, pose: FloatArray, turn: float, name: str | None = Non
     carrier = int(frame.parentJoint) - 1
     moves = np.zeros(robot.dof)
     moves[list(carriers(robot, carrier))] = 1.0
-    head = [0.0, robot.dof, flat.HEAD, 0.0]
     return Chain(
-        numbers=np.concatenate([head, flat.joint_numbers(robot).ravel()]),
+        joints=joint_table(robot),
         moves=moves,
         lower=np.array(robot.lower),
         upper=np.array(robot.upper),

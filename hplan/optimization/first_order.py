@@ -304,10 +304,10 @@ def _places(
     """
     (margin, trust), movable = matters, limits.movable
     n, dof = control.shape
-    count = (n - 3) * PLACES
-    q, weight, clear = np.zeros((count, dof)), np.empty((count, 4)), np.full((count, field.movers.shape[0]), np.inf)
+    count, bodies = (n - 3) * PLACES, len(field.bodies) + len(field.pairs)
+    q, weight, clear = np.zeros((count, dof)), np.empty((count, 4)), np.full((count, bodies), np.inf)
     speed, velocity = np.zeros((count, 4)), np.zeros(dof)
-    gradient = np.empty((count, field.movers.shape[0], len(movable)))
+    gradient = np.empty((count, bodies, len(movable)))
     for place in range(count):
         piece = place // PLACES
         basis(knots, piece, (place % PLACES) / PLACES, weight[place])

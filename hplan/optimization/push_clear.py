@@ -62,9 +62,9 @@ def _worst_point(piece: FloatArray, field: FieldArrays, movable: IntArray, gradi
 
     The gradient of that clearance with respect to the joints is written into `gradient`.
     """
-    dof, movers = piece.shape[1], field.movers.shape[0]
+    dof, bodies = piece.shape[1], len(field.bodies) + len(field.pairs)
     q, worst = np.empty(dof), piece[0].copy()
-    clear, slopes = np.empty(movers), np.empty((movers, len(movable)))
+    clear, slopes = np.empty(bodies), np.empty((bodies, len(movable)))
     least, at = FAR, 0.0
     for sample in range(17):
         t = sample / 16.0
@@ -79,7 +79,7 @@ def _worst_point(piece: FloatArray, field: FieldArrays, movable: IntArray, gradi
                 worst[k] = q[k]
     body_slopes(worst, field, movable, least + 1e-9, clear, slopes)
     nearest = 0
-    for k in range(movers):
+    for k in range(bodies):
         if clear[k] < clear[nearest]:
             nearest = k
     for m in range(len(movable)):

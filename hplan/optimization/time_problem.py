@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray, Record, frozen
+from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import check_deadline, until
 from hplan.collision.body_motions import piece_is_clear
 from hplan.collision.clearance_field import ClearanceField
@@ -89,7 +89,8 @@ class TimeProblem(Record):
         swayed = (velocity @ sway.T).max(axis=1)
         margin = _PROVED * self.options.margin
         for piece, grown in zip(np.array(pieces), swayed, strict=True):
-            swollen = arrays._replace(movers=frozen(thicker(arrays.movers, grown)))
+            bodies, pairs = thicker(arrays.bodies, arrays.pairs, grown)
+            swollen = arrays._replace(bodies=bodies, pairs=pairs)
             clear = piece_is_clear(piece, swollen, margin, 0.0)
             check_deadline()
             if not clear:

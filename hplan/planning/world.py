@@ -20,7 +20,6 @@ from hplan.base import ties
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import check_deadline
 from hplan.certificate.motion_bound import pair_sways
-from hplan.collision.box_bounds import CENTRE, HALF, RADIUS
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene, OwnContact, base_contacts
 from hplan.collision.giving_way import LinkedSolids
@@ -204,8 +203,8 @@ class World(Record):
             InputError: An obstacle intersects them; names it, the body and the depth.
         """
         boxes = self.checker.boxes[0][len(self.checker.parts.all_shapes) :]
-        sizes = np.linalg.norm(boxes[:, HALF:RADIUS], axis=1) + boxes[:, RADIUS]
-        in_reach = np.linalg.norm(boxes[:, CENTRE:HALF], axis=1) <= sizes + base_radius(self.robot)
+        sizes = np.linalg.norm(boxes["half"], axis=1) + boxes["radius"]
+        in_reach = np.linalg.norm(boxes["centre"], axis=1) <= sizes + base_radius(self.robot)
         close = [solid for solid, near in zip(self.solids, in_reach.tolist(), strict=True) if near]
         contacts = base_contacts(self.robot, close, yaw, margin=-BASE_DEPTH)
         if contacts:

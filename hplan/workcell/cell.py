@@ -38,7 +38,6 @@ from hplan.certificate.motion_bound import fastest
 from hplan.certificate.moving_obstacles import checker_in_time
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.collision_bodies import CollisionBody, collision_bodies
-from hplan.collision.flat_bodies import BODIES
 from hplan.collision.touching_pairs import self_pairs
 from hplan.errors import InputError, OptionError
 from hplan.geometry.hull import CUBE_CORNERS, whole_hull
@@ -635,7 +634,7 @@ def between(cell: Cell, q: FloatArray, name: str, others: Collection[str]) -> Fl
     `q` has (n, dof) configurations of all joints; inf without a pair of bodies.
     """
     field = cell.robot.cached(("between", name, frozenset(others)), lambda: _field_between(cell, name, others))
-    pairs = field.along(q)[:, int(field.numbers[BODIES]) :]
+    pairs = field.along(q)[:, len(field.arm.bodies) :]
     least: FloatArray = pairs.min(axis=1, initial=math.inf)
     return least
 
@@ -647,8 +646,7 @@ def _field_between(cell: Cell, name: str, others: Collection[str]) -> ClearanceF
     pairs: list[set[str | None]] = [{name, other} for other in others]
     asked = [{arms[i], arms[j]} in pairs for i, j in self_pairs(cell.robot).checked]
     field = ClearanceField.of(cell.robot, [])
-    before = int(field.numbers[BODIES])  # capsules that cover several bodies come before the pairs
-    return replace(field, movers=readonly(field.movers[[*range(before), *(before + np.flatnonzero(asked))]]))
+    return replace(field, arm=field.arm.with_pairs(np.array(asked, dtype=np.bool_)))
 
 
 def standing(cell: Cell, name: str, thicker: float) -> Iterator[AnyObstacle]:

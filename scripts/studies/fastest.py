@@ -19,8 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from studies.harness import Row, Study, StudyConfig, evenly_chosen
 from studies.measure import planned
-from studies.pinches import pinch
-from studies.planar import random_scene
+from studies.planar_problems import pinch, random_scene
 from studies.trees import Orchard, measured_orchard
 
 from hplan.certificate.digests import robot_digest

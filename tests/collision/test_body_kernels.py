@@ -16,8 +16,7 @@ from hplan.collision.body_motions import piece_is_clear, segment_is_clear
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_shapes import beyond_geometry, solid_shape
 from hplan.collision.collision_bodies import GROUND, body_shapes, collision_bodies
-from hplan.collision.flat_bodies import AXIS, AXIS_RADIUS, BALL, BALL_RADIUS, BODIES, JOINT
-from hplan.collision.placed_bodies import ALONG, CENTRE, PLACED, START, place_bodies
+from hplan.collision.placed_bodies import PLACED, place_bodies
 from hplan.collision.touching_pairs import self_pairs
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.hull import hull_of
@@ -105,26 +104,26 @@ def by_coal(robot: Robot, solids: list[Solid], q: FloatArray) -> FloatArray:
 def test_bodies_are_where_pinocchio_has_them(arm: Robot) -> None:
     field = ClearanceField.of(arm, [])
     bodies = collision_bodies(arm)
-    placed, frames = np.empty((int(field.numbers[BODIES]), PLACED)), np.empty((arm.dof + 1, 12))
+    placed, frames = np.empty(len(field.arm.bodies), PLACED), np.empty((arm.dof + 1, 12))
     for q in np.random.default_rng(0).uniform(arm.lower, arm.upper, (20, arm.dof)):
-        place_bodies(q, field.movers, field.numbers, frames, placed)
-        assert int(field.numbers[BODIES]) == len(bodies) + len(tubes_of(arm))
+        place_bodies(q, field.arm.bodies, field.arm.joints, frames, placed)
+        assert len(placed) == len(bodies) + len(tubes_of(arm))
         data = arm.model.createData()
         pin.forwardKinematics(arm.model, data, q)
-        for body, row, mover in zip(bodies, placed, field.movers, strict=False):  # capsules and pairs follow
+        for body, row, mover in zip(bodies, placed, field.arm.bodies, strict=False):  # capsules follow
             place = data.oMi[body.joint + 1]
-            frame = frames[int(mover[JOINT])]
+            frame = frames[mover["joint"]]
             assert frame[:9].reshape(3, 3) == pytest.approx(place.rotation, abs=1e-12)
             assert frame[9:12] == pytest.approx(place.translation, abs=1e-12)
             corners = body.core @ place.rotation.T + place.translation
-            away = np.linalg.norm(corners - row[CENTRE:START], axis=1).max() + body.rounding
-            assert away - 1e-12 <= mover[BALL_RADIUS] <= 1.3 * away
-            along = row[ALONG:PLACED]
-            at = np.clip((corners - row[START:ALONG]) @ along / max(along @ along, 1e-30), 0.0, 1.0)
-            beside = np.linalg.norm(corners - row[START:ALONG] - np.outer(at, along), axis=1).max() + body.rounding
-            assert beside - 1e-12 <= mover[AXIS_RADIUS]
-            assert mover[BALL:BALL_RADIUS] @ place.rotation.T + place.translation == pytest.approx(row[CENTRE:START])
-            assert mover[AXIS : AXIS + 3] @ place.rotation.T + place.translation == pytest.approx(row[START:ALONG])
+            away = np.linalg.norm(corners - row["centre"], axis=1).max() + body.rounding
+            assert away - 1e-12 <= mover["ball_radius"] <= 1.3 * away
+            along = row["along"]
+            at = np.clip((corners - row["start"]) @ along / max(along @ along, 1e-30), 0.0, 1.0)
+            beside = np.linalg.norm(corners - row["start"] - np.outer(at, along), axis=1).max() + body.rounding
+            assert beside - 1e-12 <= mover["axis_radius"]
+            assert mover["ball"] @ place.rotation.T + place.translation == pytest.approx(row["centre"])
+            assert mover["axis_start"] @ place.rotation.T + place.translation == pytest.approx(row["start"])
 
 
 @given(SEEDS)
@@ -193,7 +192,7 @@ def test_gradients_are_those_of_differences(arm: Robot, solids: list[Solid], see
     field = ClearanceField.of(arm, solids)
     q = np.random.default_rng(seed).uniform(arm.lower, arm.upper)
     joints = np.array([0, 1, 2, 4, 5] if arm.dof > 4 else [0, 1, 3])
-    clear, gradient = np.empty(len(field.movers)), np.empty((len(field.movers), len(joints)))
+    clear, gradient = np.empty(field.count), np.empty((field.count, len(joints)))
     body_slopes(q, field.arrays, joints, FAR, clear, gradient)
     assert clear == pytest.approx(field.link_clearances(q), abs=1e-9)
     step = 1e-6

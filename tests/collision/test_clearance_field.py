@@ -304,11 +304,11 @@ def test_groups_of_solids_change_no_distance(robot, monkeypatch):
             alone = ClearanceField.of(robot, solids)
         assert (len(solids) < 32) == (len(field.solids) == len(alone.solids))
         assert sorted(field.owner[field.owner >= 0].tolist()) == alone.owner.tolist()
-        for s in np.flatnonzero(field.solids[:, obstacle_rows.KIND] == obstacle_rows.NODE).tolist():
-            node, last = field.solids[s], int(field.solids[s, obstacle_rows.NEXT])
+        for s in np.flatnonzero(field.solids["kind"] == obstacle_rows.NODE).tolist():
+            node, last = field.solids[s], int(field.solids["next"][s])
             below = field.solids[s + 1 : last][field.owner[s + 1 : last] >= 0]
             assert len(below)
-            assert (np.linalg.norm(below[:, 2:5] - node[2:5], axis=1) + below[:, 5] <= node[5]).all()
+            assert (np.linalg.norm(below["centre"] - node["centre"], axis=1) + below["bound"] <= node["bound"]).all()
         kept, q = rng.random(len(solids)) < 0.5, rng.uniform(robot.lower, robot.upper, (60, 4))
         for one, other in (
             (field, alone),
@@ -328,7 +328,7 @@ def test_without_idle_pairs_near_ones_stay(variant):
     for turn in (1e9, 0.0):
         left = field.without_idle_pairs(path, movable, 0.06, turn)
         for q in path:
-            whole, found = np.empty((2, len(field.movers)))
+            whole, found = np.empty((2, field.count))
             body_clearances(q, field.arrays, 0.06, whole)
             body_clearances(q, left.arrays, 0.06, found)
             shown = whole <= 0.0 if turn == 0.0 else whole < 0.06

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from segments import segment_to_box, vector
 
 import hplan.collision.geometry_pairs as module
-from hplan.collision import arm_pairs, box_bounds, flat_bodies
+from hplan.collision import arm_pairs, box_bounds
 from hplan.collision.body_kernels import off_body, off_row
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import capsule_shapes, solid_shape
-from hplan.collision.flat_bodies import joints_alone
-from hplan.collision.obstacle_rows import AXES, BOUND, BOX, CENTRE, KIND, SHAPE
-from hplan.collision.placed_bodies import ALONG, PLACED, START
+from hplan.collision.flat_bodies import joint_table
+from hplan.collision.obstacle_rows import BOX, OBSTACLE
+from hplan.collision.placed_bodies import PLACED
 from hplan.errors import RobotFileError
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.rotation import rpy_rotation
@@ -33,8 +33,8 @@ from hplan.scene.obstacles import Capsule, Cylinder, Mesh, PointCloud
 def test_what_vectors_between_segments_show_is_no_more_than_their_distance(a, u, b, turn, angle):
     """For nearly parallel segments the vector may miss the nearest points."""
     a, u, b, v = (np.array(x, dtype=float) for x in (a, u, b, np.array(u) + angle * np.array(turn)))
-    placed = np.zeros((2, PLACED))
-    placed[:, START:ALONG], placed[:, ALONG:PLACED] = [a, b], [u, v]
+    placed = np.zeros(2, PLACED)
+    placed["start"], placed["along"] = [a, b], [u, v]
     *off, t, shown = off_body(placed, 0, 1)
     nearest = min(
         np.linalg.norm(a + s * u - b - r * v)
@@ -61,10 +61,10 @@ def test_what_vectors_from_boxes_show_is_their_distance(a, u, half, seed):
     a, u, half = (np.array(x, dtype=float) for x in (a, u, half))
     rng = np.random.default_rng(seed)
     turn = rpy_rotation(*rng.uniform(-3.0, 3.0, 3))
-    solid, placed = np.zeros((1, 21)), np.zeros((1, PLACED))
-    solid[0, KIND], solid[0, SHAPE : SHAPE + 3], solid[0, AXES : AXES + 9] = BOX, half, turn.ravel()
-    solid[0, CENTRE:BOUND] = centre = rng.uniform(-1.0, 1.0, 3)
-    placed[0, START:ALONG], placed[0, ALONG:PLACED] = centre + a @ turn, u @ turn  # rows of `turn`: axes of the box
+    solid, placed = np.zeros(1, OBSTACLE), np.zeros(1, PLACED)
+    solid["kind"], solid["half"], solid["axes"] = BOX, half, turn.ravel()
+    solid["centre"] = centre = rng.uniform(-1.0, 1.0, 3)
+    placed["start"], placed["along"] = centre + a @ turn, u @ turn  # rows of `turn`: axes of the box
     *off, _, shown = off_row(placed, 0, solid, 0)
     expected = segment_to_box(a, u, half)
     assert np.linalg.norm(off) == pytest.approx(expected, abs=1e-7)
@@ -112,11 +112,11 @@ def test_no_bound_is_above_the_distance_and_most_are_near_it(robot, kind, tmp_pa
 @pytest.mark.parametrize("name", ["toy", "lift"])
 def test_robot_with_displaced_joints_gets_no_bounds(name, tmp_path_factory, monkeypatch):
     arm = loaded_arm(name, tmp_path_factory)
-    assert (box_bounds.joints_as_pinocchio(arm) == joints_alone(arm)).all()
-    for at in (flat_bodies.HEAD + 10, flat_bodies.HEAD + flat_bodies.PLACE):  # a turn's cosine, a place
-        wrong = joints_alone(arm).copy()
-        wrong[at] += 1e-6
-        monkeypatch.setattr(box_bounds, "joints_alone", lambda _, wrong=wrong: wrong)
+    assert (box_bounds.joints_as_pinocchio(arm) == joint_table(arm)).all()
+    for column, at in (("cosine", 1), ("position", 0)):
+        wrong = joint_table(arm).copy()
+        wrong[column][0, at] += 1e-6
+        monkeypatch.setattr(box_bounds, "joint_table", lambda _, wrong=wrong: wrong)
         with pytest.raises(RobotFileError, match=arm.joint_names[0]):
             box_bounds.joints_as_pinocchio.__wrapped__(arm)
 

@@ -13,7 +13,6 @@ from hplan.base.arrays import FloatArray
 from hplan.collision.body_kernels import FAR
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.collision_bodies import collision_bodies
-from hplan.collision.flat_bodies import BODIES, FIRST, INNER, JOINT, LAST, OUTER
 from hplan.collision.motion_cover import moving_arm, part_shown_clear
 from hplan.collision.placed_bodies import place_joints
 from hplan.collision.touching_pairs import self_pairs
@@ -57,8 +56,8 @@ def points_of(arm: Robot, field: ClearanceField, q: FloatArray) -> list[FloatArr
     """The corners of each body, and of capsules that cover several, in `base_link`."""
     data, found = arm.model.createData(), []
     pin.forwardKinematics(arm.model, data, q)
-    for row in field.movers[: int(field.numbers[BODIES])]:
-        core, joint = field.numbers[int(row[FIRST]) : int(row[LAST])].reshape(-1, 3), int(row[JOINT])
+    for row in field.arm.bodies:
+        core, joint = field.arm.points[row["first"] : row["last"]].reshape(-1, 3), int(row["joint"])
         place = data.oMi[joint + 1] if joint < arm.dof else pin.SE3.Identity()
         found.append(core @ place.rotation.T + place.translation)
     return found
@@ -79,8 +78,8 @@ def test_twists_are_velocities(arm: Robot, field: ClearanceField, seed: int) -> 
     generator = np.random.default_rng(seed)
     q, rates = generator.uniform(arm.lower, arm.upper), generator.uniform(-1.0, 1.0, arm.dof)
     frames = np.empty((arm.dof + 1, MOVING))
-    place_joints(q, field.numbers, frames)
-    find_twists(rates, field.numbers, frames)
+    place_joints(q, field.arm.joints, frames)
+    find_twists(rates, field.arm.joints, frames)
     ahead, behind = (points_of(arm, field, q + step * rates) for step in (1e-6, -1e-6))
     for body, here, after, before in zip(collision_bodies(arm), points_of(arm, field, q), ahead, behind, strict=False):
         twist = frames[body.joint if body.joint >= 0 else arm.dof, TWIST:]
@@ -93,8 +92,8 @@ def test_points_are_no_faster_and_bend_no_more_than_is_said(arm: Robot, field: C
     generator = np.random.default_rng(seed)
     q, rates = generator.uniform(arm.lower, arm.upper), generator.uniform(-1.0, 1.0, arm.dof)
     changes = generator.uniform(-1.0, 1.0, arm.dof)
-    bends = np.empty((len(field.movers), 2))
-    motion_bends(np.abs(rates), np.abs(changes), field.movers, field.numbers, bends)
+    bends = np.empty((field.count, 2))
+    motion_bends(np.abs(rates), np.abs(changes), field.arrays, bends)
     assert bends[:, 0] == pytest.approx(field.reaches @ np.abs(rates))
     step = 1e-4
     times = np.array([-step, 0.0, step])
@@ -105,7 +104,8 @@ def test_points_are_no_faster_and_bend_no_more_than_is_said(arm: Robot, field: C
     for k, (speed, bend) in enumerate(bends):
         moved, seen = k, -1
         if k >= len(placed[0]):
-            moved, seen = int(field.movers[k, OUTER]), bodies[int(field.movers[k, INNER])].joint
+            pair = field.arm.pairs[k - len(placed[0])]
+            moved, seen = int(pair["outer"]), bodies[pair["inner"]].joint
         before, here, after = (
             seen_from(arm, at, seen, points[moved]) for at, points in zip(along, placed, strict=True)
         )
@@ -133,8 +133,8 @@ def test_parts_shown_clear_are_clear(arm: Robot, field: ClearanceField, seed: in
     generator = np.random.default_rng(seed)
     q = generator.uniform(arm.lower, arm.upper)
     rates = generator.uniform(-2.0, 2.0, arm.dof) * generator.choice([0.0, 1.0], arm.dof)
-    bends, bounds = np.empty((len(field.movers), 2)), field.reaches @ np.abs(rates)
-    motion_bends(np.abs(rates), np.zeros(arm.dof), field.movers, field.numbers, bends)
+    bends, bounds = np.empty((field.count, 2)), field.reaches @ np.abs(rates)
+    motion_bends(np.abs(rates), np.zeros(arm.dof), field.arrays, bends)
     part = part_shown_clear(q, rates, moving_arm(field.arrays, arm.dof, bends, MARGIN), back, forward)
     clear = field.link_clearances(q)
     if part.forward < 0.0:
@@ -162,8 +162,8 @@ def test_body_turned_to_wall_touches_it() -> None:
     # At 0 the ball moves along the wall's face, 20 mm from it.
     wall = Box(name="wall", center=(0.43, 0.0, 0.0), size=(1.0, 4.0, 1.0))
     field = ClearanceField.of(arm, [wall])
-    bends, q, rates = np.empty((len(field.movers), 2)), np.zeros(1), np.ones(1)
-    motion_bends(rates, np.zeros(1), field.movers, field.numbers, bends)
+    bends, q, rates = np.empty((field.count, 2)), np.zeros(1), np.ones(1)
+    motion_bends(rates, np.zeros(1), field.arrays, bends)
     part = part_shown_clear(q, rates, moving_arm(field.arrays, 1, bends, 0.0), 1.0, 1.0)
     meets = float(np.arccos(0.98))
     assert 0.9 * meets < part.forward < meets

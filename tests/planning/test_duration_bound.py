@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from planned import fruit, post, problem_between, task
 from scipy.optimize import linprog
-from studies.planar import random_scene
+from studies.planar_problems import random_scene
 
 import hplan.planning.lower_bound.duration_bound as module
 from hplan.apps.cli.main import main

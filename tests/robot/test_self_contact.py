@@ -19,7 +19,6 @@ from hplan.certificate.certificate import certify
 from hplan.certificate.motion_bound import motion_of_movers
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
-from hplan.collision.flat_bodies import BODIES, INNER, OUTER
 from hplan.planar.grid.grid import Grid
 from hplan.planar.grid.occupancy import occupancy
 from hplan.planning.options import PlanOptions
@@ -91,13 +90,8 @@ class Truth:
         return coal.distance(*pair, coal.DistanceRequest(), coal.DistanceResult())
 
 
-@pytest.fixture(scope="module")
-def arms(tmp_path_factory):
-    """Fourteen arms of two to four links with wide and narrow joint ranges; half of them with offsets."""
-    return list(random_arms(np.random.default_rng(0), tmp_path_factory.mktemp("arms"), 14))
-
-
 def random_arms(rng, folder, count):
+    """Arms of two to four links whose joints may turn far, or not so far; half of them with offsets."""
     aside = np.random.default_rng(count)
     for number in range(count):
         links = int(rng.integers(2, 5))
@@ -110,9 +104,7 @@ def random_arms(rng, folder, count):
             place, side, *beside = aside.uniform(-1.0, 1.0, (links + 2, 2)).round(3)
             offsets = {"yaw_axis": (0.4 * place).tolist(), "shoulder_offset": 0.3 * side[0]}
             offsets["link_offsets"] = [0.08 * each[0] if each[1] > -0.2 else 0.0 for each in beside]
-        own = folder / str(number)
-        own.mkdir()
-        yield arm_of(own, low, high, lengths=lengths, widths=widths, has_yaw=has_yaw, height=height, **offsets)
+        yield arm_of(folder, low, high, lengths=lengths, widths=widths, has_yaw=has_yaw, height=height, **offsets)
 
 
 def named_pairs(robot):
@@ -135,10 +127,10 @@ def test_harvester_cannot_touch_itself(robot, scene):
     assert sections.obstacle_names == tuple(solid.name for solid in scene.solids)
 
 
-def test_pairs_are_those_that_sampling_finds(arms):
+def test_pairs_are_those_that_sampling_finds(tmp_path):
     rng = np.random.default_rng(0)
     seen, apart = 0, 0
-    for robot in arms[:12]:
+    for robot in random_arms(rng, tmp_path, 12):
         truth, known = Truth(robot), named_pairs(robot)
         least = {}
         for q in rng.uniform(robot.lower, robot.upper, (300, robot.dof)):
@@ -170,10 +162,10 @@ def test_turret_turns_about_yaw_axis(tmp_path):
 # C-space
 
 
-def test_cspace_against_coal(arms):
+def test_cspace_against_coal(tmp_path):
     rng = np.random.default_rng(5)
     contacts = 0
-    for robot in arms[:8]:
+    for robot in random_arms(rng, tmp_path, 8):
         step = math.radians({2: 6.0, 3: 15.0, 4: 16.0}[robot.arm.link_count])
         grid = joint_grid(robot.arm, step)
         ours = {
@@ -232,17 +224,17 @@ def test_four_links_in_the_cspace_are_exact(tmp_path, lengths):
 def own_clearances(robot, field, truth, q, found):
     """Distances of the arm's own pairs as coal has them, and as they were found."""
     bodies, distances = self_contact(robot).bodies, truth.distances(q)
-    pairs = field.movers[int(field.numbers[BODIES]) :, [OUTER, INNER]].astype(int).tolist()
+    pairs = field.arm.pairs[["outer", "inner"]].tolist()
     links = robot.arm.link_count
     other = [inner if inner < links else str(bodies[inner - links].number) for _, inner in pairs]
     expected = np.array([distances[outer, inner] for (outer, _), inner in zip(pairs, other, strict=True)])
     return expected, found[len(found) - len(pairs) :]
 
 
-def test_distances_from_bodies_that_carry_the_arm(arms):
+def test_distances_from_bodies_that_carry_the_arm(tmp_path):
     rng = np.random.default_rng(12)
     near = 0
-    for robot in arms[:12]:
+    for robot in random_arms(rng, tmp_path, 12):
         field, truth = ClearanceField.of(robot, [], own_clearance=0.01), Truth(robot)
         for q in rng.uniform(robot.lower, robot.upper, (100, robot.dof)):
             expected, found = own_clearances(robot, field, truth, q, field.link_clearances(q, 100.0))
@@ -276,10 +268,10 @@ def test_certified_clearances_are_clear(wide):
 # Judge
 
 
-def test_judge_against_coal(arms):
+def test_judge_against_coal(tmp_path):
     rng = np.random.default_rng(21)
     contacts = 0
-    for robot in arms[:10]:
+    for robot in random_arms(rng, tmp_path, 10):
         obstacles = [Sphere(name="turret", center=(2.0, 0.5, 1.0), radius=0.2)]  # a name that the arm has too
         checker = CoalScene(robot, obstacles, single_joint_pairs=False)
         truth, known = Truth(robot), named_pairs(robot)
@@ -354,10 +346,10 @@ def clearance_is_shown(certificate):
     return not any("comes to" in violation for violation in certificate.violations)
 
 
-def test_certificates_agree_with_dense_sampling(arms):
+def test_certificates_agree_with_dense_sampling(tmp_path):
     rng = np.random.default_rng(41)
     shown = refused = 0
-    for robot in arms:
+    for robot in random_arms(rng, tmp_path, 14):
         truth, known = Truth(robot), named_pairs(robot)
         if not known:
             continue

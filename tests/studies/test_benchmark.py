@@ -45,17 +45,9 @@ def rows_of(study: str, out: Path, *options: str) -> list[dict]:
     return read_rows(out / f"{study}.jsonl")
 
 
-@pytest.mark.parametrize(
-    ("study", "first"),
-    [
-        ("clutter", 3),
-        ("fastest", 0),
-        ("deadlines", 0),
-        ("camera", 0),
-    ],
-)
-def test_study_runs(study: str, first: int, tmp_path: Path) -> None:
-    rows = rows_of(study, tmp_path, "--first", str(first), "--effort", "quick")
+@pytest.mark.parametrize("study", ["fastest", "deadlines", "camera"])
+def test_study_runs(study: str, tmp_path: Path) -> None:
+    rows = rows_of(study, tmp_path, "--effort", "quick")
     assert rows
     assert not any(row["fault"] for row in rows if "fault" in row)
     assert len({row["name"] for row in rows}) == len(rows)
@@ -88,9 +80,11 @@ def test_any_arm(tmp_path: Path, six: str) -> None:
     assert row["certified"]
 
 
-def test_peers(tmp_path: Path) -> None:
+def test_peers(tmp_path: Path, trees: str, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("ompl")
-    (row,) = rows_of("clutter", tmp_path, "--first", "4", "--peer")
+    for name, value in {"FRUITS": 6, "SHIPPED": (), "DISTANCES": (1.4,)}.items():
+        monkeypatch.setattr(among_trees, name, value)
+    (row,) = rows_of("trees", tmp_path, "--trees", trees, "--peer")
     assert row["peer_solved"]
     assert row["to_peer"] < 1.05
 
@@ -111,21 +105,21 @@ def test_motionbenchmaker(tmp_path: Path) -> None:
 
 def test_exit_status_reports_faults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     study = Study("toy", "", lambda config, n: {"name": f"{n}", "ms": np.float64(n), "fault": n == 2}, ("ms",))
-    monkeypatch.setattr(script, "import_module", lambda _: SimpleNamespace(CLUTTER=study))
-    assert script.main(["clutter", "--count", "2", "--out", str(tmp_path / "a")]) == 0
-    assert script.main(["clutter", "--count", "3", "--out", str(tmp_path / "b")]) == 5
+    monkeypatch.setattr(script, "import_module", lambda _: SimpleNamespace(FASTEST=study))
+    assert script.main(["fastest", "--count", "2", "--out", str(tmp_path / "a")]) == 0
+    assert script.main(["fastest", "--count", "3", "--out", str(tmp_path / "b")]) == 5
     first = json.loads((tmp_path / "b" / "toy.jsonl").read_text().splitlines()[0])
     assert (first["study"], first["count"]) == ("toy", 3)
-    assert script.main(["clutter", "--compare", str(tmp_path / "a"), str(tmp_path / "b")]) == 0
+    assert script.main(["fastest", "--compare", str(tmp_path / "a"), str(tmp_path / "b")]) == 0
 
 
 def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = ["--out", str(tmp_path)]
     for options, needed in (
-        (["clutter", "--count", "0"], "--count"),
+        (["fastest", "--count", "0"], "--count"),
         (["everything"], "one of reference"),
         (["random"], "needs --robot"),
-        (["clutter", "--peer", "roboplan"], "one of RRTConnect, BITstar for clutter"),
+        (["fastest", "--peer", "roboplan"], "one of RRTConnect, BITstar for fastest"),
         (["deadlines", "--values", "deadlines"], "--values"),
         (["cells", "--compare", str(tmp_path), str(tmp_path)], "no study is in both"),
         (["trees", "--trees", str(tmp_path)], "the folder has no CSV"),

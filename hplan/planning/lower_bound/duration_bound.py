@@ -199,7 +199,7 @@ def _axes(obstacles: ClearanceField, motions: JointMotions, duration_s: float) -
 
 def _excess(robot: Robot, obstacles: ClearanceField) -> FloatArray:
     """(bodies,) maximum excess of bodies over the certificate's shapes [m]."""
-    excess = np.zeros(len(obstacles.movers))
+    excess = np.zeros(obstacles.count)
     if robot.planar is None:  # planar arms have the same capsules in both
         growth = [body.growth for body in collision_bodies(robot)]
         excess[: len(growth)] = growth

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hplan.base import ties
-from hplan.base.arrays import FloatArray, IntArray, Record, WordArray
+from hplan.base.arrays import FloatArray, IntArray, Record, WordArray, frozen
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.flat_bodies import BALL_RADIUS, BODIES, FIRST, LAST, MEETS
 from hplan.planning.lower_bound.cells import AXES, Cells, Samples, is_reachable, take_occupied
 from hplan.planning.lower_bound.joint_tubes import JointMotions
 
@@ -123,23 +122,23 @@ class GridSearch(Record):
         lower, upper = motions.ranges(grid.longest, len(samples.first) - 1)
         sizes = upper - lower
         lower[joints], sizes[joints] = grid.lower[: len(joints)], grid.sizes[: len(joints)]
-        meets = obstacles.movers[:, MEETS] > 0.0
+        bodies = obstacles.arm.bodies
         moved = (obstacles.reaches > 0.0) & (motions.velocity > 0.0)
-        for group in sorted({tuple(row) for row in moved[meets].tolist()}, key=lambda row: (sum(row), row)):
-            chosen = meets & (moved == np.array(group)).all(axis=1)
+        is_checked = bodies["is_checked"]
+        for group in sorted({tuple(row) for row in moved[is_checked].tolist()}, key=lambda row: (sum(row), row)):
+            chosen = is_checked & (moved == np.array(group)).all(axis=1)
             parts = _parts(obstacles.reaches[chosen].max(axis=0) * sizes, int(joints[0]))
             # Skip bodies that a part may move by more than their own radius: they are hardly ever in contact so deeply.
-            chosen &= 0.5 * obstacles.reaches @ (sizes / parts) < obstacles.movers[:, BALL_RADIUS]
+            chosen &= 0.5 * obstacles.reaches @ (sizes / parts) < bodies["ball_radius"]
             if not chosen.any():
                 continue
             axes = np.full(AXES, -1, dtype=np.int64)
             axes[: len(joints)] = np.where(np.array(group)[joints], joints, -1)
             axes[0] = joints[0]  # bodies that it does not move are in contact along all of it
-            numbers = obstacles.numbers.copy()
-            numbers[BODIES] = chosen.sum()
-            field = obstacles.arrays._replace(movers=obstacles.movers[chosen], numbers=numbers)
-            points = (obstacles.movers[chosen][:, LAST] - obstacles.movers[chosen][:, FIRST]).max() / 3.0
-            of_bodies = obstacles.reaches[chosen], excess[chosen], int(_LOOKS / (1.0 + points / 8.0))
+            reaches = frozen(obstacles.reaches[chosen])
+            field = obstacles.arrays._replace(bodies=frozen(bodies[chosen]), reaches=reaches)
+            points = (bodies["last"] - bodies["first"])[chosen].max() / 3.0
+            of_bodies = reaches, excess[chosen], int(_LOOKS / (1.0 + points / 8.0))
             known = free[_along(axes)]
             if known.shape != free.shape:
                 known = np.full_like(known, _ALL)

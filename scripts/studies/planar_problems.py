@@ -1,33 +1,39 @@
-"""Pinches: motions with corners, the base locked, to whose sweep balls are put so close that this room is left.
+"""Random problems of planar arms with a locked base: discs in the arm plane, and pinches.
 
-Each from the seed and its own number alone; along a pinch there always is a motion.
+A pinch is a motion with corners between balls that leave a given distance from its sweep, so that a motion exists. Each
+problem depends only on the seed and its number.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
+from studies.planar_cspace import arm_sections, joint_grid
 
-from hplan.base.arrays import FloatArray
-from hplan.errors import HplanError
+from hplan.base.arrays import FloatArray, IntArray
+from hplan.errors import HplanError, InputError
+from hplan.planar.grid.grid import Occupancy
+from hplan.planar.grid.occupancy import occupancy
 from hplan.planning.options import PlanOptions
 from hplan.planning.problem import Problem
+from hplan.planning.world import World
 from hplan.robot.family.members import load_member
 from hplan.robot.family.spec import ArmSpec
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
 
-#: Kinds of arms: the shipped ones, and members of the family drawn with wide ranges.
-ARMS = ("harvester", "orchard_harvester", "drawn")
+#: Spacing of the joint grid, and minimum distance of start and goal in joint space [deg].
+STEP_DEG, APART_DEG = 1.0, 30.0
 
-#: Distances of the balls from the sweep [m].
-ROOMS = (2e-4, 5e-4, 2e-3, 6e-3)
+#: Pairs of nodes drawn before a scene's discs are drawn anew.
+_PAIRS = 200
 
 #: Number of balls of a pinch, number of those within the room, their radii, and the extra distance of the others [m].
 BALLS, CLOSE_BALLS, RADII, FARTHER = (6, 12), (2, 4), (0.02, 0.25), (0.005, 0.06)
@@ -39,12 +45,83 @@ SAMPLE = math.radians(0.1)
 _Drawn: TypeAlias = tuple[FloatArray, FloatArray, Sequence[Sphere]]
 
 
+@dataclass(frozen=True, eq=False)
+class PlanarScene:
+    """A scene and its C-space.
+
+    Attributes:
+        scene: Obstacles, start and goal.
+        space: Its C-space.
+        start: (d,) node index.
+        goal: (d,) node index.
+    """
+
+    scene: Scene
+    space: Occupancy
+    start: IntArray
+    goal: IntArray
+
+
+def random_scene(robot: Robot, seed: int, number: int) -> PlanarScene:
+    """A random scene of 1 to 12 discs within reach, and clear of pedestal and turret; start and goal are free nodes."""
+    random = np.random.default_rng([seed, number])
+    grid = joint_grid(robot.arm, np.radians(STEP_DEG))
+    reach = float(robot.arm.lengths.sum())
+    while True:
+        count = int(random.integers(1, 13))
+        distance = random.uniform(0.11 * reach, reach, count)
+        bearing = np.radians(random.uniform(-20.0, 200.0, count))
+        radius = random.uniform(0.02, 0.25 if count < 5 else 0.12, count)
+        centres = np.column_stack([distance * np.cos(bearing), distance * np.sin(bearing)])
+        discs = _discs_in_plane(robot, np.column_stack([centres, radius]))
+        space = occupancy(robot.arm, arm_sections(robot, discs), grid)
+        free = np.flatnonzero(~space.occupied.ravel())
+        if len(free) < 2:
+            continue
+        for _ in range(_PAIRS):
+            pair = np.stack(np.unravel_index(free[random.integers(len(free), size=2)], grid.shape), axis=1)
+            ends = grid.coordinates(pair)
+            if np.linalg.norm(ends[1] - ends[0]) >= np.radians(APART_DEG):
+                break
+        else:
+            continue
+        # The base is checked last, so that scenes with a free base have the same random numbers as without the check.
+        scene = _planar_scene(robot, f"clutter-{number}", discs, ends[0], ends[1])
+        world = World.of_scene(robot, scene, PlanOptions())
+        try:
+            world.check_base(robot.yaw_of(scene.start.configuration))
+        except InputError:
+            continue
+        return PlanarScene(scene, space, pair[0].astype(np.int64), pair[1].astype(np.int64))
+
+
+def _discs_in_plane(robot: Robot, discs: FloatArray) -> list[Sphere]:
+    """Balls from (k, 3) discs: centre in the arm plane at yaw 0, and radius [m]."""
+    centres = robot.plane_origin + discs[:, :2] @ robot.plane_axes
+    return [
+        Sphere(name=f"disc {i}", center=(float(x), float(y), float(z)), radius=float(radius))
+        for i, ((x, y, z), radius) in enumerate(zip(centres, discs[:, 2], strict=True))
+    ]
+
+
+def _planar_scene(robot: Robot, name: str, discs: list[Sphere], start: FloatArray, goal: FloatArray) -> Scene:
+    """The scene with the given planar joint angles at yaw 0."""
+    yaw = (0.0,) if robot.has_yaw else ()
+    return Scene(
+        name=name,
+        start=Start(joints_rad=(*yaw, *(float(q) for q in start))),
+        goal=Goal(joints_rad=(*yaw, *(float(q) for q in goal))),
+        locked_joints=robot.joint_names[:1] if robot.has_yaw else (),
+        obstacles=tuple(discs),
+    )
+
+
 def pinch(seed: int, number: int, arm: str, room: float) -> tuple[Robot, Scene]:
     """Arm and scene of a numbered pinch with a room [m]."""
     random = np.random.default_rng([seed, number])
     robot = drawn_member(seed, number) if arm == "drawn" else load_robot(arm)
     while True:
-        if (drawn := _drawn(robot, random, room)) is None:
+        if (drawn := _draw_pinch(robot, random, room)) is None:
             continue
         start, goal, obstacles = drawn
         scene = Scene(
@@ -95,7 +172,7 @@ def drawn_member(seed: int, number: int) -> Robot:
     return load_member(spec)
 
 
-def _drawn(robot: Robot, random: np.random.Generator, room: float) -> _Drawn | None:
+def _draw_pinch(robot: Robot, random: np.random.Generator, room: float) -> _Drawn | None:
     """A motion with one or two corners, and balls next to it."""
     arm = robot.arm
     corners = random.uniform(arm.lower, arm.upper, (int(random.integers(3, 5)), arm.link_count))

@@ -175,9 +175,10 @@ class JointLimitError(InputError):
 
     def __init__(self, which: str, joint: str, value: float, lower: float, upper: float, unit: str = "rad") -> None:
         """Name the configuration, the joint, its value, its limits and their unit."""
-        message = (
-            f"{which}: joint {joint!r} is at {value:.6g} {unit}, outside its limits [{lower:.6g}, {upper:.6g}] {unit}"
-        )
+        # Enough digits to show the difference.
+        digits = next((d for d in (6, 9, 12) if f"{value:.{d}g}" not in (f"{lower:.{d}g}", f"{upper:.{d}g}")), 17)
+        shown, low, high = (f"{number:.{digits}g}" for number in (value, lower, upper))
+        message = f"{which}: joint {joint!r} is at {shown} {unit}, outside its limits [{low}, {high}] {unit}"
         facts = {f"value_{unit}": value, f"lower_{unit}": lower, f"upper_{unit}": upper}
         super().__init__(message, which=which, joint=joint, **facts)
         self.value, self.lower, self.upper = value, lower, upper

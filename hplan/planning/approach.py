@@ -12,6 +12,7 @@ import numpy as np
 from hplan.base.deadline import check_deadline
 from hplan.certificate.certificate import Stretch, goal_contacts, stretches
 from hplan.errors import TimingError
+from hplan.kinematics.straight_line import lines_back
 from hplan.optimization.minimize_time import minimize_time
 from hplan.optimization.timed_spline import BoundaryState, TimedSpline
 from hplan.planning.grasps import Grasp, Target
@@ -25,7 +26,6 @@ from hplan.planning.motion import (
 )
 from hplan.planning.problem import Problem
 from hplan.planning.stages import stage
-from hplan.planning.tool_paths import Tool
 from hplan.robot.model import Robot
 from hplan.trajectory.trajectory import Trajectory
 
@@ -76,10 +76,6 @@ class Approach:
         return Motion("approach", *certified_trajectory(self.touching, path, self._contact_stretches))
 
     @property
-    def _tool(self) -> Tool:
-        return Tool(self.problem.robot, self.problem.scene.locked_joints, self.grasp.keeps_turn)
-
-    @property
     def motions(self) -> tuple[Motion, ...]:
         """The approach from rest and, from a fruit, the retreat.
 
@@ -98,13 +94,14 @@ class Approach:
 
         At least the stand-off distance, at most `LEADS` beyond it.
         """
-        grasp, tool = self.grasp, self._tool
+        grasp, robot, locked = self.grasp, self.problem.robot, self.problem.scene.locked_joints
         longest = (1.0 + LEADS[-1]) * grasp.distance
-        possible = tool.largest_standoff(grasp.goal, longest)
+        lines = lines_back(robot, grasp.goal[None], longest, locked=locked, keeps_turn=grasp.keeps_turn)
+        possible = float(lines.distances[lines.reached[0] - 1])
         if possible <= grasp.distance:
             return grasp.distance
         check_deadline()
-        path = tool.path(grasp.goal, possible)
+        path = grasp.line(robot, locked, possible)
         away = np.linspace(grasp.distance, possible, 16)
         field = self.target.transit_world(grasp).field
         touching = np.flatnonzero(field.along(path.evaluate((1.0 - away / possible) * path.end)).min(axis=1) < 0.0)
@@ -137,7 +134,7 @@ class Approach:
         grasp, robot = self.grasp, self.problem.robot
         if longer < grasp.distance + 1e-3:
             return None
-        path = self._tool.path(grasp.goal, longer)
+        path = grasp.line(robot, self.problem.scene.locked_joints, longer)
         try:
             whole = timed(self.touching, path)
         except TimingError:

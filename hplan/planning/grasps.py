@@ -1,9 +1,9 @@
 """Grasps of a fruit or point: goal configurations with straight approaches.
 
-Each configuration with the tool at the point (`hplan.planning.tool_paths`) gets a straight approach along the tool
-axis (`Robot.tool_axis`). The approach starts at a stand-off of the requested distance, or of a shorter one if that is
-infeasible. Only the last link may touch the target fruit, and only during the approach; if no straight approach is
-collision-free, it may touch the fruit during the whole motion.
+Each configuration with the tool at the point (`hplan.planning.specialist.GoalSampler`) gets a straight approach along
+the tool axis (`Robot.tool_axis`). The approach starts at a stand-off of the requested distance, or of a shorter one if
+that is infeasible. Only the last link may touch the target fruit, and only during the approach; if no straight approach
+is collision-free, it may touch the fruit during the whole motion.
 
 If the position of a fruit is uncertain, approaches differ in the probability that it is within the gripper's capture
 range: its center is off by at most one length along the tool axis at the grasp and by at most another length across it.
@@ -18,22 +18,25 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base import ties
-from hplan.base.arrays import FloatArray, Record, frozen
+from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
 from hplan.base.deadline import is_over
 from hplan.collision.coal_scene import Contact
+from hplan.collision.collision_bodies import collision_bodies
+from hplan.collision.reach import reach as reach_of_bodies
 from hplan.errors import BlockedError, UnreachableError
 from hplan.kinematics.approach_angles import Candidates
-from hplan.kinematics.straight_line import StraightLine
+from hplan.kinematics.inverse_kinematics import inverse_kinematics
+from hplan.kinematics.straight_line import StraightLine, lines_back
+from hplan.kinematics.tool_at_point import approach_angles
 from hplan.planning.joint_ranges import LEAST_MARGIN, JointRanges
 from hplan.planning.options import PlanOptions
-from hplan.planning.specialist import joint_ranges
-from hplan.planning.tool_paths import Approaches, Tool
+from hplan.planning.specialist import goal_sampler_of, joint_ranges
 from hplan.planning.world import World
 from hplan.robot.limits import rest_to_rest
 from hplan.robot.model import Robot
@@ -78,6 +81,9 @@ _BEYOND = -1.0
 #: Clearance of a grasp and its stand-off beyond the required clearance; half of it along the whole approach [m].
 SPARE = 1e-3
 
+#: Points of an approach that are checked, as fractions of its length: whole steps of `hplan.kinematics.straight_line`.
+_CHECKED = (0.25, 0.5, 0.75, 1.0)
+
 #: Values of that clearance in the order in which they are tried; the last one is the minimum [m].
 ROOMS = (SPARE, 5e-4, 2e-4, 5e-5)
 
@@ -106,30 +112,13 @@ class Grasp(Record):
     keeps_turn: bool = False
     caught: float | None = None
 
-    def path(self, robot: Robot, locked: tuple[str, ...] = ()) -> StraightLine | None:
+    def path(self, robot: Robot, locked: Sequence[str] = ()) -> StraightLine | None:
         """The approach; None for a grasp without one."""
-        if self.distance <= 0.0:
-            return None
-        return Tool(robot, locked, self.keeps_turn).path(self.goal, self.distance)
+        return None if self.distance <= 0.0 else self.line(robot, locked, self.distance)
 
-
-@dataclass(frozen=True, eq=False)
-class _Measured:
-    """Candidate configurations, and their (k, moving bodies) clearances [m]."""
-
-    candidates: Candidates
-    rooms: FloatArray
-
-    @cached_property
-    def least(self) -> FloatArray:
-        """(k,) minimum clearance over all links at each configuration [m]."""
-        least: FloatArray = self.rooms.min(axis=1)
-        return least
-
-    @property
-    def most(self) -> float:
-        """Maximum of these minimum clearances [m]."""
-        return float(self.least.max())
+    def line(self, robot: Robot, locked: Sequence[str], length: float) -> StraightLine:
+        """The straight approach of a length [m]."""
+        return StraightLine(robot, self.goal, length, tuple(locked), self.keeps_turn)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +158,7 @@ class Target(Record):
 
         The minimum stand-off keeps the tool clear of the fruit.
         """
-        least = fruit.radius + Tool(world.robot).thickness(world.deviation) + world.clearance + 2.0 * SPARE
+        least = fruit.radius + tool_thickness(world.robot, world.deviation) + world.clearance + 2.0 * SPARE
         return cls(
             f"fruit {fruit.name!r}", fruit.center, world, world.touching(fruit.name, fruit.hangs_from),
             scene.goal.approach_deg, fruit, least, capture_m=options.capture_m,
@@ -275,7 +264,7 @@ def grasps_or_blocked(
         UnreachableError: No configuration that reaches the point was found, obstacles ignored.
         ConfigurationInCollisionError: The start is in contact with an obstacle that blocks a joint.
         InputError: The position or the approach is invalid.
-        OptionError: As `hplan.planning.tool_paths.Tool.at`.
+        OptionError: As the robot's goal sampler.
     """
     ranges = joint_ranges(target.world.checker, start, LEAST_MARGIN)
     if ranges.walls:
@@ -284,14 +273,15 @@ def grasps_or_blocked(
     if isinstance(clear, Blocked):
         return clear
     found, room = clear
-    tool = Tool(target.world.robot, locked, target.pose is not None)
-    found = tool.soonest(found, count)
+    robot, keeps_turn = target.world.robot, target.pose is not None
+    if goal_sampler_of(robot).is_sorted and len(found.approach) > count:  # the quickest to reach
+        found = Candidates(frozen(found.configurations[:count]), frozen(found.approach[:count]))
     goals = frozen(found.configurations)
     lengths = _distances(standoff, target.least_standoff)
 
     @cache
-    def along(length: float) -> Approaches:
-        return tool.approaches(goals, length)
+    def along(length: float) -> tuple[BoolArray, FloatArray]:
+        return straight_approaches(robot, goals, length, locked, keeps_turn)
 
     direct = {i: (0.0, goal) for i, goal in enumerate(goals)}
     for less in (room, *(less for less in ROOMS if less < room)):
@@ -359,33 +349,38 @@ def _clear_candidates(
     Raises:
         UnreachableError: No configuration reaches the point.
     """
-    world, tool = target.world_touching, Tool(target.world.robot, locked)
+    robot, sampler = target.world.robot, goal_sampler_of(target.world.robot)
 
-    def evenly_spaced(count: int) -> _Measured:
+    def evenly_spaced(count: int) -> tuple[Candidates, FloatArray]:
+        """Candidates, and the (k,) minimum clearance of each over all links [m]."""
         if target.pose is not None:
-            found = tool.at_pose(target.pose, target.frame, start)
+            at_pose = inverse_kinematics(robot, target.pose, start=start, frame=target.frame, locked=locked)
+            found = Candidates(at_pose, approach_angles(robot, at_pose, target.pose[:3, 3]))
         else:
-            found = tool.at(target.position, approach_deg=target.approach_deg, count=count, start=start)
-        rooms = world.field.along(found.configurations)
+            angle = target.approach_deg
+            found = sampler.at_point(
+                robot, target.position, approach_deg=angle, count=count, start=start, locked=tuple(locked)
+            )
+        rooms: FloatArray = target.world_touching.field.along(found.configurations).min(axis=1)
         rooms[~ranges.hold(found.configurations)] = _BEYOND
-        return _Measured(found, rooms)
+        return found, rooms
 
     measured = [evenly_spaced(count)]
-    if count < COUNT and measured[0].most <= SPARE:
+    if count < COUNT and measured[0][1].max() <= SPARE:
         measured = [evenly_spaced(COUNT)]
-    configurations = measured[0].candidates.configurations
-    if measured[0].most <= SPARE and target.pose is None:
+    configurations = measured[0][0].configurations
+    if measured[0][1].max() <= SPARE and target.pose is None:
         with suppress(UnreachableError):
-            measured.append(evenly_spaced(tool.more))
+            measured.append(evenly_spaced(sampler.more))
     for room in ROOMS:
-        for found in measured:
-            if found.most > room:
-                clear = found.least > room
-                return Candidates(found.candidates.configurations[clear], found.candidates.approach[clear]), room
-    best = max(measured, key=lambda found: found.most)
-    nearest = frozen(best.candidates.configurations[ties.argmax(best.least)])
-    refined = sum(len(found.least) for found in measured[1:])
-    return Blocked(target, ranges, configurations, nearest, best.most, refined)
+        for found, rooms in measured:
+            clear = rooms > room
+            if clear.any():
+                return Candidates(found.configurations[clear], found.approach[clear]), room
+    found, rooms = max(measured, key=lambda of: float(of[1].max()))
+    nearest = frozen(found.configurations[ties.argmax(rooms)])
+    refined = sum(len(rooms) for _, rooms in measured[1:])
+    return Blocked(target, ranges, configurations, nearest, float(rooms.max()), refined)
 
 
 def _distances(standoff: float, least: float) -> list[float]:
@@ -398,23 +393,61 @@ def _distances(standoff: float, least: float) -> list[float]:
 
 
 def _clear_approaches(
-    target: Target, ranges: JointRanges, along: Callable[[float], Approaches], lengths: Sequence[float], room: float
+    target: Target,
+    ranges: JointRanges,
+    along: Callable[[float], tuple[BoolArray, FloatArray]],
+    lengths: Sequence[float],
+    room: float,
 ) -> dict[int, tuple[float, FloatArray]]:
     """Return approach length and stand-off of goals with collision-free approaches.
 
     The approach is checked along a polyline of a few points; the certificate covers the exact path, `Grasp.path`.
     """
     chosen: dict[int, tuple[float, FloatArray]] = {}
-    enough = Tool(target.world.robot).enough
+    enough = goal_sampler_of(target.world.robot).enough
     for length in lengths:
-        every = len(along(length).polylines)
+        feasible, approaches = along(length)
+        every = len(approaches)
         if chosen and len(chosen) >= (every if enough is None else min(enough, every)):
             break
-        approaches = along(length).polylines
         begins = approaches[:, -1]
-        clear = along(length).feasible & ranges.hold(begins)
+        clear = feasible & ranges.hold(begins)
         clear[clear] = target.world.field.along(begins[clear]).min(axis=1) > room
         for i in np.flatnonzero(clear).tolist():
             if i not in chosen and target.world_touching.field.is_clear(approaches[i], 0.5 * room):
                 chosen[i] = length, frozen(begins[i].copy())
     return chosen
+
+
+def straight_approaches(
+    robot: Robot, goals: FloatArray, length: float, locked: Sequence[str] = (), keeps_turn: bool = False
+) -> tuple[BoolArray, FloatArray]:
+    """Straight approaches of a length [m] to (k, dof) goals.
+
+    Args:
+        locked: Names of joints that keep their start values.
+        keeps_turn: Whether the tool keeps its rotation about its axis.
+
+    Returns:
+        (k,) mask of the goals with an approach, and (k, points, dof) configurations from the goals to the stand-offs.
+    """
+    lines = lines_back(robot, goals, length, locked=locked, keeps_turn=keeps_turn)
+    steps = len(lines.distances) - 1
+    return lines.reached > steps, lines.rows[:, [0, *(round(part * steps) for part in _CHECKED)]]
+
+
+def tool_thickness(robot: Robot, deviation: float) -> float:
+    """Extent of the tool beyond its frame, tracking error included [m].
+
+    It is measured along the tool axis.
+
+    Args:
+        deviation: Tracking error of every joint [rad].
+    """
+    frame = robot.model.frames[robot.frame_number(robot.tool_frame)].placement
+    ahead = [0.0]
+    for body, row in zip(collision_bodies(robot), reach_of_bodies(robot), strict=True):
+        if body.joint == robot.tool_joint - 1:
+            along = (body.core - frame.translation) @ (frame.rotation @ robot.tool_axis)
+            ahead.append(float(along.max()) + body.rounding + deviation * float(row.sum()))
+    return max(ahead)

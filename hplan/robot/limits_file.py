@@ -195,7 +195,7 @@ def find_limits(
     limits = [urdf.joints[name].limits for name in joint_names]
     is_text = urdf_path == URDF_TEXT
     if given is not None or not any("acceleration" in limit for limit in limits) or (is_file(default) and not is_text):
-        if given is None and is_text:
+        if given is None and (is_text or not is_file(default)):
             raise RobotFileError(urdf_path, f"it has no acceleration limits: {LIMITS_ADVICE}")
         slides = [urdf.joints[name].kind == "prismatic" for name in joint_names]
         return read_limits(default if given is None else given, joint_names, slides, held)

@@ -59,7 +59,9 @@ class MeshFinder:
             return found
         plain = name.removeprefix("file://")
         folders, names = [self._path.parent, *self._folders], dict.fromkeys((plain, plain.replace("\\", "/")))
-        return next(filter(is_file, (folder / part for part in names for folder in folders)), None)
+        found = next(filter(is_file, (folder / part for part in names for folder in folders)), None)
+        installed = re.search(r"/share/([^/]+/.+)", plain)  # on another machine
+        return self.find(f"{_PACKAGE[0]}{installed[1]}") if found is None and installed is not None else found
 
     def locate(self, root: ET.Element, faults: Faults) -> bool:
         """Write mesh files and units; return True if anything changed.

@@ -48,6 +48,9 @@ from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, read_urdf_xml
 if TYPE_CHECKING:
     from hplan.scene.model import JointValues, Start
 
+#: Excess of a joint limit that is permitted at the start of a motion, as encoders and rounding cause it [rad or m].
+START_TOLERANCE = 1e-4
+
 _T = TypeVar("_T")
 _P = ParamSpec("_P")
 
@@ -333,7 +336,8 @@ class Robot(PlanarNames, Record):
 
         Raises:
             InputError: `q` is not a list of numbers, has the wrong number of joints, or has a value that is not finite.
-            JointLimitError: `q` exceeds the joint limits by more than 1e-9 rad or m; smaller excesses are clipped.
+            JointLimitError: `q` exceeds the joint limits by more than 1e-9 rad or m, as `start` by more than
+                `START_TOLERANCE`; smaller excesses are clipped.
         """
         expected = f"{which}: expected {self.dof} joint values ({', '.join(self.joint_names)})"
         try:
@@ -356,22 +360,23 @@ class Robot(PlanarNames, Record):
                 raise InputError(
                     f"{which}: joint {joint!r} is at {value}, expected a finite number", which=which, joint=joint
                 )
-        fault = self.limit_fault(values, which)
+        tolerance = START_TOLERANCE if which == "start" else 1e-9
+        fault = self.limit_fault(values, which, tolerance)
         if fault is not None:
             raise fault
         return readonly(np.clip(values, self.lower, self.upper))
 
-    def limit_fault(self, q: FloatArray, which: str) -> JointLimitError | None:
+    def limit_fault(self, q: FloatArray, which: str, tolerance: float = 1e-9) -> JointLimitError | None:
         """Error for the first joint outside its limits, or None.
 
-        The tolerance is 1e-9 rad or m. If the values would be within the limits when read as degrees, the error says
-        so.
+        If the values would be within the limits when read as degrees, the error says so.
 
         Args:
             q: (dof,) configuration.
             which: Name of the configuration, for the error.
+            tolerance: Excess that is permitted [rad or m].
         """
-        outside = ~((self.lower - 1e-9 <= q) & (q <= self.upper + 1e-9))
+        outside = ~((self.lower - tolerance <= q) & (q <= self.upper + tolerance))
         if not outside.any():
             return None
         first = int(outside.argmax())
@@ -422,7 +427,8 @@ def load_robot(
         limits: Limits YAML, or the name of a robot whose limits ship with hplan, for example `ur5`; None for
             `NAME.limits.yaml` in the URDF's folder or, without that file, for acceleration and jerk in the URDF (1.2).
             Velocities and efforts in it take the place of the URDF's. MoveIt's `joint_limits.yaml` is read as well.
-        tool_frame: Frame at the end of the arm; None for the default of a robot loaded by name, else for `tool0`.
+        tool_frame: Frame at the end of the arm; None for the default of a robot loaded by name, else for `tool0` or,
+            without it, for the only frame without a body at the end of the arm.
         joints: Names of the moving joints in the robot's order, from the base on; None for all revolute, continuous and
             prismatic joints up to the tool frame that are not held.
         hold: Values of held joints [rad, m]. Other joints that do not move are held at 0, at the limit nearest to 0, or
@@ -513,6 +519,7 @@ def _read_robot(
         if isinstance(collision_from_visual, bool)
         else list_of("collision_from_visual", collision_from_visual, str, "names of links"),
         limits=given if given is not None or files.urdf == URDF_TEXT else _existing(default_limits(files.urdf)),
+        guesses_tool=tool_frame is None,
         xacro_args={name: str(value) for name, value in _mapping("xacro_args", xacro_args, "{name: value}").items()},
     )
     text = path if isinstance(path, str) and is_urdf_text(path) else None
@@ -528,6 +535,7 @@ def _read_robot(
         choice, root, adapted, models = _built(urdf_path, text, choice)
         faults = find_shape_faults(*models, undrawn)
     model, collision_model, visual_model = models
+    frame = adapted.tool_frame
     check_joints(urdf_path, model)
     joint_names = tuple(model.names)[1:]
     if choice.joints is not None and choice.joints != joint_names:

@@ -57,6 +57,7 @@ class RobotChoice(Record):
         limits: Limits file whose velocities and efforts take the place of the URDF's; None for none.
         xacro_args: Values of the arguments of a xacro file, by name.
         repairs: Whether faults that have an obvious remedy are mended.
+        guesses_tool: Whether another frame is taken if `tool_frame` is missing and there is one candidate.
     """
 
     tool_frame: str = "tool0"
@@ -68,6 +69,7 @@ class RobotChoice(Record):
     limits: Path | None = None
     xacro_args: Mapping[str, str] | None = None
     repairs: bool = False
+    guesses_tool: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +83,7 @@ class AdaptedUrdf(Record):
         missing_visuals: Name of the link and of the mesh file for each visual that was dropped, as its file is missing
             or unreadable.
         mended: Faults of the file that no motion depends on, and what was done about each.
+        tool_frame: The tool frame that was taken.
     """
 
     urdf: Urdf
@@ -89,6 +92,7 @@ class AdaptedUrdf(Record):
     held: Mapping[str, float | None]
     missing_visuals: tuple[tuple[str, str], ...] = ()
     mended: tuple[str, ...] = ()
+    tool_frame: str = "tool0"
 
 
 def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice, faults: Faults | None = None) -> AdaptedUrdf:
@@ -130,9 +134,10 @@ def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice, faults: Faults
         _check_accelerations(collected, adapted, choice)
     collected.check()
     if as_is:
-        return AdaptedUrdf(urdf, None, frozenset(), {}, mended=tuple(collected.mended))
+        return AdaptedUrdf(urdf, None, frozenset(), {}, tool_frame=choice.tool_frame)
     text = ET.tostring(root, encoding="unicode")
-    return AdaptedUrdf(adapted, text, frozenset(chain.continuous), chain.held, missing, tuple(collected.mended))
+    mended = tuple(collected.mended)
+    return AdaptedUrdf(adapted, text, frozenset(chain.continuous), chain.held, missing, mended, chain.tool_frame)
 
 
 def _write_limits(root: ET.Element, file: Path | None) -> bool:
@@ -175,6 +180,7 @@ class _Adaptation:
         self._choice = choice
         self._hold = dict(choice.hold or {})
         self._carrying = {joint.child: joint for joint in urdf.joints.values()}
+        self.tool_frame = choice.tool_frame
         self.continuous: list[str] = []
         self.held: dict[str, float | None] = {}
 
@@ -223,10 +229,16 @@ class _Adaptation:
             return frame
         if frame in self._urdf.joints:
             return self._urdf.joints[frame].child
+        candidates, is_only = tool_frames(self._urdf)
+        if self._choice.guesses_tool and is_only:
+            self.tool_frame = candidates[0]
+            taken = f"{candidates[0]!r} is taken, the only one; tool_frame=NAME (--tool-frame NAME) selects another"
+            self._faults.mend(f"there is no frame {frame!r} at the end of the arm; {taken}")
+            return candidates[0]
         reason = f"it marks the end of the arm and is missing; the links are {', '.join(self._urdf.links)}; "
-        advice = "tool_frame=NAME (--tool-frame NAME) selects another frame"
+        advice = f"tool_frame=NAME (--tool-frame NAME) selects another frame, for example {candidates[0]!r}"
         self._faults.add(f"frame {frame!r}: {reason}{advice}")
-        return tool_frames(self._urdf)[0]
+        return candidates[0]
 
     def _is_tree(self) -> bool:
         """True if the links form a tree.
@@ -467,20 +479,32 @@ def set_origin(element: ET.Element, placement: pin.SE3) -> None:
         origin.set(key, " ".join(repr(number) for number in numbers.tolist()))
 
 
-def tool_frames(urdf: Urdf) -> tuple[str, ...]:
-    """Links that may be the tool frame, the likeliest first.
+def tool_frames(urdf: Urdf) -> tuple[tuple[str, ...], bool]:
+    """Links that may be the tool frame, the likeliest first, and whether the first is the only one.
 
-    These are the links without children after the most movable joints. A frame without shapes at the end of fixed
-    joints, as `tool0`, comes before a body.
+    A link without children that has no body, as `tool0`, comes before a body, and one beyond more joints before others.
     """
     carrying, parents = {joint.child: joint for joint in urdf.joints.values()}, {j.parent for j in urdf.joints.values()}
 
-    def rank(link: str) -> tuple[int, bool, int]:
-        above = list[Joint]()
-        while link in carrying and len(above) <= len(carrying):
-            above.append(carrying[link])
-            link = above[-1].parent
-        movable = [joint for joint in above if joint.element.find("mimic") is None and joint.kind != "fixed"]
-        return -len(movable), bool(urdf.links[above[0].child].shapes) if above else True, -len(above)
+    def rank(link: str) -> tuple[bool, int]:
+        body = bool(urdf.links[link].shapes) or urdf.links[link].element.find("visual") is not None
+        is_moved = link in carrying and carrying[link].kind != "fixed"
+        return body or is_moved, -len(joints_up_to(urdf, link))
 
-    return tuple(sorted((name for name in urdf.links if name not in parents), key=rank))
+    ends = sorted((name for name in urdf.links if name not in parents), key=rank) or list(urdf.links)
+    is_frame = not rank(ends[0])[0]
+    if len(ends) > 1 and not is_frame and ends[0] in carrying:
+        palm = carrying[ends[0]].parent  # of a gripper whose fingers have no frame between them
+        return (palm, *ends), False
+    return tuple(ends), len(ends) == 1 or (is_frame and rank(ends[0]) != rank(ends[1]))
+
+
+def joints_up_to(urdf: Urdf, link: str) -> list[Joint]:
+    """Joints that move a link, from the base on, without those that mimic others."""
+    carrying, found = {joint.child: joint for joint in urdf.joints.values()}, list[Joint]()
+    for _ in urdf.joints:
+        if link not in carrying:
+            break
+        found.append(carrying[link])
+        link = found[-1].parent
+    return [joint for joint in found[::-1] if joint.kind != "fixed" and joint.element.find("mimic") is None]

@@ -25,8 +25,8 @@ from hplan.base.data_files import scenes_dir
 from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import HplanError, InputError, OptionError, UnreachableError
 from hplan.planar.inverse_kinematics import reach
+from hplan.planning.grasps import straight_approaches
 from hplan.planning.options import PlanOptions
-from hplan.planning.tool_paths import Tool
 from hplan.robot.limits import least_duration
 from hplan.robot.model import Robot
 from hplan.scene.file import load_scene
@@ -148,7 +148,7 @@ def _standoff(robot: Robot, scene: Scene, fruit: Fruit, home: FloatArray) -> Flo
     goals = goals[touching.along(goals).min(axis=1) > SPARE]
     if not len(goals):
         return "blocked"
-    feasible, polylines = Tool(robot).approaches(goals, STANDOFF)
+    feasible, polylines = straight_approaches(robot, goals, STANDOFF)
     ways = polylines[feasible]
     if not len(ways):
         return "no_approach"

@@ -17,11 +17,10 @@ from hplan.certificate.certificate import certify
 from hplan.collision.coal_cloud import obstacle_shape
 from hplan.collision.collision_bodies import body_shapes
 from hplan.online.planner import Planner
-from hplan.planning.grasps import Target
+from hplan.planning.grasps import Target, tool_thickness
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
-from hplan.planning.tool_paths import Tool
 from hplan.planning.world import World
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Goal, Scene, Start
@@ -122,7 +121,7 @@ def test_where_no_approach_is_clear_the_motion_itself_leads_to_the_fruit(picker:
     found = plan(picker, scene_of(picker, Goal(fruit="apple 0")), PlanOptions(effort="quick", standoff=0.0))
     assert found.certificate.verified
     assert found.grasp is not None
-    least = 0.035 + Tool(picker).thickness(0.0)
+    least = 0.035 + tool_thickness(picker, 0.0)
     assert least < found.grasp.distance < least + 3e-3
 
 
@@ -140,7 +139,7 @@ def test_unreachable_and_blocked_goals_are_distinguished(picker: Robot) -> None:
 
 
 def test_tool_length_is_measured(picker: Robot) -> None:
-    assert Tool(picker).thickness(0.0) == pytest.approx(0.0, abs=1e-9)
+    assert tool_thickness(picker, 0.0) == pytest.approx(0.0, abs=1e-9)
     world = World.of(picker, [])
     wide = Target.of_fruit(
         world, FRUITS[0], scene_of(picker, Goal(fruit=FRUITS[0].name)), hplan.PlanOptions()
@@ -152,8 +151,8 @@ def test_tool_length_is_measured(picker: Robot) -> None:
     name = '<link name="picker">'
     longer = text.replace(name, name + box.replace("</link>", ""))
     robot = load_robot(longer, limits=picker.urdf_path.with_suffix(".limits.yaml"))
-    assert Tool(robot).thickness(0.0) == pytest.approx(0.02, abs=1e-9)
-    assert Tool(robot).thickness(0.01) > 0.02
+    assert tool_thickness(robot, 0.0) == pytest.approx(0.02, abs=1e-9)
+    assert tool_thickness(robot, 0.01) > 0.02
 
 
 @pytest.mark.parametrize("frame", [None, "wrist_2_link"])

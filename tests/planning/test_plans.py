@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,6 @@ import pytest
 from arm_variants import load_variant
 from planned import assert_sound, between_rows, frame_about_upper_arm, posed, task
 
-import hplan.planning.plans
-import hplan.planning.tool_paths
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, CertificationError, NoPathError, NotFoundError, TimingError
 from hplan.planar.inverse_kinematics import reach
@@ -26,6 +25,7 @@ from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.problem import merged
 from hplan.planning.solver import best_motion, prove_infeasible
+from hplan.planning.specialist import goal_sampler_of
 from hplan.planning.world import World
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
@@ -99,7 +99,8 @@ def test_finer_angles_before_blocked(robot: Robot, name: str, monkeypatch: pytes
     scene = TIGHT[name]
     found = plan(robot, scene, COARSE)
     assert_sound(robot, scene, found)
-    monkeypatch.setattr(hplan.planning.tool_paths.Tool, "more", COUNT)
+    coarse = replace(goal_sampler_of(robot), more=COUNT)
+    monkeypatch.setattr("hplan.planning.grasps.goal_sampler_of", lambda _: coarse)
     least = 0.0
     with suppress(BlockedError):
         least = min(grasp.room for grasp in grasps_of(robot, scene)[0])

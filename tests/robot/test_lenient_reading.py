@@ -108,7 +108,7 @@ def test_all_faults_are_reported_together(tmp_path):
     text = text.replace('<mass value="2"/>', '<mass value="2,5"/>', 1).replace("<collision>", "<colision>", 1)
     text = text.replace("</collision>", "</colision>", 1).replace('"tool0"', '"flange"')
     with pytest.raises(RobotFileError) as caught:
-        load_robot(write(tmp_path, text))
+        load_robot(write(tmp_path, text), tool_frame="tool0")
     faults = caught.value.faults
     for part in (
         "<colision> in <link> has no meaning",
@@ -134,6 +134,24 @@ def test_other_encodings(tmp_path, encoding):
     robot = load_robot(path)
     assert robot.joint_names[0] == "größe"
     assert robot_digest(robot) == robot_digest(load_robot(text))
+
+
+def test_the_only_frame_at_the_end_is_the_tool_frame():
+    text = WITH_ACCELERATIONS.replace('"tool0"', '"tcp"')
+    (warning,) = told(text)
+    assert "there is no frame 'tool0' at the end of the arm; 'tcp' is taken, the only one; tool_frame=NAME" in warning
+    assert quiet(text).tool_frame == "tcp"
+    fingers = "".join(
+        f'<joint name="{name}" type="prismatic"><parent link="wrist_3_link"/><child link="{name}"/><axis xyz="1 0 0"/>'
+        f'<limit lower="0" upper="0.03" velocity="1" effort="9"/></joint><link name="{name}"/>' for name in ("f1", "f2")
+    )  # fmt: skip
+    gripped = text.replace("</robot>", f"{fingers}</robot>")
+    robot = quiet(gripped)
+    assert (robot.tool_frame, robot.dof) == ("tcp", 6)
+    with pytest.raises(RobotFileError, match=r"selects another frame, for example 'wrist_3_link'"):
+        load_robot(gripped.replace('<link name="tcp"/>', "").replace('<child link="tcp"/>', '<child link="f3"/>')
+                   .replace("</robot>", '<link name="f3"><collision><geometry><sphere radius="0.01"/></geometry>'
+                            "</collision></link></robot>"))  # fmt: skip
 
 
 # Limits that the URDF lacks

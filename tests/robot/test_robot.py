@@ -201,7 +201,11 @@ FAMILY_FAULTS = {
     ),
     "axis without direction": ([(AXIS, '<axis xyz="0 0 0"/>')], "joint 'shoulder': its axis has no direction"),
     "no tool frame": (
-        [('<child link="tool0"/>', '<child link="tcp"/>'), ('<link name="tool0"', '<link name="tcp"')],
+        [
+            ('<child link="tool0"/>', '<child link="tcp"/>'),
+            ('<link name="tool0"', '<link name="eye"/><joint name="mount" type="fixed"><parent link="hand"/>'
+             '<child link="eye"/></joint><link name="tcp"'),
+        ],
         "frame 'tool0': it marks the end of the arm and is missing",
     ),
     "link of no length": ([origin_of("hand", 'xyz="0 0 0"')], "link 'forearm': it has no length"),
@@ -398,6 +402,18 @@ def test_bad_limits(tmp_path, old, new, message):
 def test_configuration_a_rounding_error_outside_is_clipped(robot):
     q = robot.check_configuration([math.pi + 1e-12, HALF_PI + 1e-10, -1e-10, 0.0], "start")
     assert q.tolist() == [math.pi, HALF_PI, 0.0, 0.0]
+
+
+def test_a_start_a_little_outside_is_clipped(robot):
+    """Encoders and rounding report a joint at its limit as beyond it; a goal or waypoint is chosen within."""
+    reported = [math.pi + 9e-5, HALF_PI, -9e-5, 0.0]
+    assert robot.check_configuration(reported, "start").tolist() == [math.pi, HALF_PI, 0.0, 0.0]
+    with pytest.raises(JointLimitError, match=r"goal: joint 'base_yaw' is at 3\.14168 rad, outside .*3\.14159\] rad"):
+        robot.check_configuration(reported, "goal")
+    with pytest.raises(JointLimitError, match=r"at 3\.14159266 rad, outside .*, 3\.14159265\] rad"):
+        robot.check_configuration([math.pi + 1e-8, HALF_PI, 0.0, 0.0], "goal")
+    with pytest.raises(JointLimitError, match="start: joint 'base_yaw'"):
+        robot.check_configuration([math.pi + 2e-4, HALF_PI, 0.0, 0.0], "start")
 
 
 @pytest.mark.parametrize(("joint", "value"), [(0, 3.2), (1, -0.01), (3, 1.6)])

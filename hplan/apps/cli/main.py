@@ -19,6 +19,7 @@ COMMANDS = {
     "certify": "prove that a trajectory keeps clearance and limits",
     "execute": "run a trajectory on a simulated arm",
     "orchard": "generate a scene with a row of fruit trees",
+    "inspect": "list the faults of a robot file, its joints and touching links",
     "view": "show the motion of an output folder, or a trajectory",
     "warmup": "compile all numerical kernels now",
     "completion": "print a shell completion script: hplan completion bash",

@@ -139,10 +139,28 @@ def reach_ball(robot: Robot) -> FloatArray:
 
     It contains all bodies at all configurations.
     """
+    return _ball_about(robot, np.array(robot.model.jointPlacements[1].translation))
+
+
+@made_once
+def tight_reach_ball(robot: Robot) -> FloatArray:
+    """(4,) the smaller of `reach_ball` and a ball about the foot of the second joint on the first joint's axis [m]."""
+    ball, first = reach_ball(robot), robot.model.jointPlacements[1]
+    axis, slides = joint_axis(robot, 0)
+    if slides or robot.dof < 2 or robot.model.parents[2] != 1:
+        return ball
+    along = float(axis @ robot.model.jointPlacements[2].translation)
+    raised = _ball_about(robot, first.translation + first.rotation @ (along * axis))
+    return raised if raised[3] < ball[3] else ball
+
+
+def _ball_about(robot: Robot, centre: FloatArray) -> FloatArray:
+    """(4,) smallest ball about a (3,) point on the first joint's axis that contains all bodies at all configurations.
+
+    Distances from the point do not change when the joint rotates.
+    """
     bodies = collision_bodies(robot)
     held = [_carried(robot, body.core, body.joint, 0.0)[1] for body in bodies]
-    # Distances from the first joint's origin do not change when it rotates.
-    centre = np.array(robot.model.jointPlacements[1].translation)
     far = [np.linalg.norm(points - centre, axis=1).max() for points in held]
     largest = max((float(away) + body.rounding for away, body in zip(far, bodies, strict=True)), default=0.0)
     return frozen(np.append(centre, largest * (1.0 + _ROUND_OFF)))

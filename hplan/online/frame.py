@@ -24,9 +24,10 @@ from hplan.base.arrays import FloatArray, Record, as_array, frozen, numbers, rea
 from hplan.base.checked import Options
 from hplan.base.units import FARTHEST_JOINT
 from hplan.collision.obstacle_rows import solid_rows
+from hplan.collision.reach import tight_reach_ball
 from hplan.errors import InputError, OptionError
 from hplan.geometry.rotation import rpy_rotation
-from hplan.online.arm_shape import SweptReach, arm_solids, reach_ball
+from hplan.online.arm_shape import SweptReach, arm_solids
 from hplan.online.body_distances import Bodies, distances_from_bodies
 from hplan.online.frame_kernels import (
     COUNT,
@@ -354,7 +355,7 @@ def _reach(
 
     (4,) centre and radius [m]; the swept ball is None for a fixed base.
     """
-    reach = reach_ball(robot).copy()
+    reach = tight_reach_ball(robot).copy()
     reach[3] += frame.radius + options.growth_m + options.reach_margin_m + clearance_m
     if frame.base_track is None:
         return reach, None

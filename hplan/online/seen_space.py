@@ -32,9 +32,10 @@ import numpy as np
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record
 from hplan.base.kernels import inlined, kernel
 from hplan.collision.obstacle_rows import solid_rows
+from hplan.collision.reach import tight_reach_ball
 from hplan.errors import OptionError
 from hplan.geometry.vectors import Vector
-from hplan.online.arm_shape import arm_solids, reach_ball
+from hplan.online.arm_shape import arm_solids
 from hplan.online.body_distances import distances_from_bodies
 from hplan.online.hidden_points import CELLS, cells_about, shortest_ranges
 from hplan.planning.result import PlanResult
@@ -69,7 +70,7 @@ class SeenSpace:
             OptionError: The voxels are too small for the arm's range.
         """
         self.edge, self.radius = edge, 0.5 * math.sqrt(3.0) * edge
-        *centre, reach = reach_ball(robot).tolist()
+        *centre, reach = tight_reach_ball(robot).tolist()
         # One voxel more on each side: the border of space within range is then in the grid.
         count = _BLOCK * math.ceil((2.0 * reach / edge + 4.0) / _BLOCK)
         if count**3 > _MOST:
@@ -274,7 +275,7 @@ def sweep(robot: Robot, path: FloatArray, step_m: float) -> list[Solid]:
         path: (n, dof) samples.
         step_m: Approximate maximum displacement of any point between selected samples [m].
     """
-    lever = max(1.0, 2.0 * float(reach_ball(robot)[3]))
+    lever = max(1.0, 2.0 * float(tight_reach_ball(robot)[3]))
     moved = lever * np.concatenate([[0.0], np.cumsum(np.abs(np.diff(path, axis=0)).sum(axis=1))])
     rows = np.unique(np.searchsorted(moved, np.append(np.arange(0.0, moved[-1], step_m), moved[-1])))
     return [solid for q in path[rows] for solid in arm_solids(robot, q)]

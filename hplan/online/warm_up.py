@@ -71,16 +71,11 @@ def warm_up(robot: Robot) -> None:
 
 
 def _pairs(robot: Robot) -> list[tuple[FloatArray, FloatArray]]:
-    """Sampled pairs of neighbouring configurations without self-collision, with a fixed seed.
-
-    A planar arm keeps its yaw, so that its yaw joint can also be locked.
-    """
+    """Sampled pairs of neighbouring configurations without self-collision, with a fixed seed."""
     low, high = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     begins = low + np.random.default_rng(0).uniform(0.05, 0.95, (_DRAWN, robot.dof)) * (high - low)
     begins[0] = 0.5 * (low + high)
     goals = begins + np.clip(np.roll(begins, -1, axis=0) - begins, -_STEP, _STEP)
-    if robot.planar is not None and robot.has_yaw:
-        goals[:, 0] = begins[:, 0]
     field = ClearanceField.of(robot, ())
     clear = np.minimum(field.along(begins).min(axis=1), field.along(goals).min(axis=1)) > 0.0
     return list(zip(begins[clear], goals[clear], strict=True))[:_PAIRS]
@@ -139,8 +134,7 @@ def _other_tasks(robot: Robot, scene: Scene, fruit: Fruit) -> Iterator[tuple[dic
     yield {"obstacles": (ball.copy_unchecked({"track": track}), *others)}, usual
     yield {"fruits": (fruit,), "goal": Goal(fruit=fruit.name)}, usual
     yield {}, PlanOptions(tracking_error=1e-4, tracking_delay_s=1e-4, effort="best")
-    if robot.planar is None:
-        pose = pin.SE3ToXYZQUAT(pin.SE3(robot.forward_kinematics(scene.goal.configuration))).tolist()
-        yield {"goal": Goal(position=tuple(pose[:3]), quaternion_xyzw=tuple(pose[3:]))}, usual
-    elif robot.has_yaw:
-        yield {"locked_joints": robot.joint_names[:1]}, usual
+    pose = pin.SE3ToXYZQUAT(pin.SE3(robot.forward_kinematics(scene.goal.configuration))).tolist()
+    yield {"goal": Goal(position=tuple(pose[:3]), quaternion_xyzw=tuple(pose[3:]))}, usual
+    goal = (scene.start.configuration[0], *scene.goal.configuration[1:])
+    yield {"goal": Goal(joints_rad=goal), "locked_joints": robot.joint_names[:1]}, usual

@@ -146,7 +146,10 @@ def run_batch(
 
 
 def _job(scene: Path | str, robot: Robot | None, options: str, *, with_trajectory: bool) -> _Job:
-    """Identify a scene file by its content, meshes and clouds included, with robot and options."""
+    """Identify a scene file by its content, robot and options.
+
+    Meshes and clouds are included.
+    """
     try:
         found = load_scene(scene)
         content = scene_digest(found) + robot_digest(_scene_robot(found.robot) if robot is None else robot)
@@ -159,7 +162,10 @@ def _job(scene: Path | str, robot: Robot | None, options: str, *, with_trajector
 
 
 def _plan_row(robot: Robot | None, options: PlanOptions, folder: Path | None, job: _Job) -> BatchRow:
-    """Plan for one scene file; return its row, with the error if there is no motion."""
+    """Plan for one scene file; return its row.
+
+    The row has the error if there is no motion.
+    """
     begin, name = time.process_time(), "" if robot is None else robot.name
     try:
         scene = load_scene(job.scene)

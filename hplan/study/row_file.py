@@ -30,7 +30,7 @@ _PARSERS: dict[str, Callable[[str], Any]] = {
 
 @contextmanager
 def open_rows(path: Path | None, kind: type[_Row], job: str) -> Iterator[tuple[list[_Row], Callable[[_Row], None]]]:
-    """Yield the rows of a file and a function that appends a row durably.
+    """Yield a file's rows, and a function that appends one durably.
 
     The file is locked against other writers. An incomplete last row, left by an interrupted run, is cut off.
 

@@ -85,7 +85,7 @@ class Trajectory(Record):
     Examples:
         >>> motion = Trajectory(("q1",), [0.0, 2.0], [[0.0], [1.0]], [[0.0], [0.0]], [[0.0], [0.0]], [[0.0], [0.0]])
         >>> motion
-        <Trajectory: 2 s, 2 rows, joints q1>
+        <Trajectory: 2 s, 2 samples, joints q1>
         >>> motion.positions([1.0]).tolist()
         [[0.5]]
         >>> motion.reversed.position[0].tolist()
@@ -552,7 +552,7 @@ def write_csv(trajectory: Trajectory, path: Path | str, robot: Robot | None = No
         >>> motion = Trajectory(("q1",), [0.0, 2.0], [[0.0], [1.0]], [[0.0], [0.0]], [[0.0], [0.0]], [[0.0], [0.0]])
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     read_csv(write_csv(motion, f"{folder}/motion.csv"))
-        <Trajectory: 2 s, 2 rows, joints q1>
+        <Trajectory: 2 s, 2 samples, joints q1>
     """
     instance("trajectory", trajectory, Trajectory, "plan or read_csv")
     if not truth("whole", whole) and trajectory.takes_over_s:

@@ -510,10 +510,13 @@ def test_limits_of_prismatic_joints_are_in_metres(tmp_path: Path) -> None:
         ("acceleration_rad_s2: {rail: 3, boom: 4}", None),
         (
             "acceleration_rad_s2: {rail: 3, boom: 4}\nacceleration_m_s2: {rail: 3}",
-            "'rail' is in acceleration_rad_s2 too",
+            "'rail' is also in acceleration_rad_s2",
         ),
         ("acceleration_rad_s2: {boom: 4}", r"joints missing \['rail'\]"),
-        ("acceleration_m_s2: {rail: 3, boom: 4}", "acceleration_m_s2: joint 'boom' turns; .* acceleration_rad_s2"),
+        (
+            "acceleration_m_s2: {rail: 3, boom: 4}",
+            "acceleration_m_s2: joint 'boom' is revolute; .* acceleration_rad_s2",
+        ),
         ("jerk_m_s3: {rail: 3}", "acceleration_rad_s2 is missing"),
     ):
         path.write_text(f"format: hplan-limits/1\n{text}\n")
@@ -525,7 +528,7 @@ def test_limits_of_prismatic_joints_are_in_metres(tmp_path: Path) -> None:
 
 
 def test_trajectory_without_units_of_prismatic_joints_is_refused() -> None:
-    with pytest.raises(InputError, match="'rail' slides: give Trajectory"):
+    with pytest.raises(InputError, match="'rail' is prismatic: give Trajectory"):
         certify(ROBOT, scene(), replace(motion(), slides=()))
 
 

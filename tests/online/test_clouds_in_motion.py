@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
+from hplan.collision.reach import tight_reach_ball
 from hplan.errors import HplanError, InputError, OptionError
-from hplan.online.arm_shape import SweptReach, reach_ball
+from hplan.online.arm_shape import SweptReach
 from hplan.online.frame import CloudOptions
 from hplan.online.planner import Planner
 from hplan.planning.options import PlanOptions
@@ -136,10 +137,10 @@ def test_omitted_points_never_come_within_reach(robot: Robot, seed: int) -> None
     """Against the distance from the ball of reach at places less than 2 mm apart on the track."""
     random = np.random.default_rng(seed)
     track, margin = random_track(random), 0.07
-    swept = SweptReach.of(reach_ball(robot), track)
+    swept = SweptReach.of(tight_reach_ball(robot), track)
     points = random.uniform(-5.0, 5.0, (800, 3))
     turns, shifts = base_poses(track, np.arange(track.times_s[0], track.times_s[-1], 2e-3))
-    x, y, z, radius = reach_ball(robot)
+    x, y, z, radius = tight_reach_ball(robot)
     centres = turns @ np.array([x, y, z]) + shifts
     away = np.array([np.linalg.norm(centres - point, axis=1).min() for point in points]) - radius
     near = swept.comes_near(points, margin)
@@ -185,7 +186,7 @@ def test_remembered_points_stay_where_they_were_seen(robot: Robot) -> None:
 def test_cloud_that_was_cropped_for_less_is_refused(robot: Robot) -> None:
     """Clearance, tracking errors, the base's track and the cloud's place may not change behind the crop."""
     planner = Planner(robot, a_scene(None), QUICK)
-    x, y, z, radius = reach_ball(robot)
+    x, y, z, radius = tight_reach_ball(robot)
     points = [(1.4, 0.2, 1.2), (x, y - radius - 0.13, z)]
     options = CloudOptions(growth_m=1e-3)
     report = planner.set_cloud("seen", points, radius=0.01, options=options)

@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 
 from hplan.collision.coal_cloud import distance_from
 from hplan.collision.obstacle_rows import solid_rows
+from hplan.collision.reach import tight_reach_ball
 from hplan.errors import InputError
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.hull import hull_of
 from hplan.geometry.rotation import rpy_rotation
-from hplan.online.arm_shape import arm_solids, reach_ball
+from hplan.online.arm_shape import arm_solids
 from hplan.online.body_distances import distance_from_bodies, distances_from_bodies
 from hplan.online.frame import CloudOptions, Frame, filter_frame
 from hplan.online.frame_kernels import Scratch
@@ -67,7 +68,7 @@ def test_every_point_is_accounted_for(robot, seed, kind, growth_m):
 
     empty = (seen == 0.0).all(axis=1)
     finite = np.isfinite(seen).all(axis=1) & ~empty
-    x, y, z, radius = reach_ball(robot)
+    x, y, z, radius = tight_reach_ball(robot)
     near = np.linalg.norm(world - [x, y, z], axis=1) <= radius + RADIUS + growth_m + 0.1 + 0.01
     arm, ignored = (distances_from_bodies(np.nan_to_num(world, posinf=9.0, neginf=9.0), *solid_rows(s, p))
                     for s, p in ((arm_solids(robot, TUCKED), 0.03), ([fruit], 0.02)))  # fmt: skip
@@ -142,7 +143,7 @@ def test_distance_up_to_limit_is_exact_or_missing():
 
 def test_arm_is_in_its_reach_ball(robot):
     rng = np.random.default_rng(1)
-    *centre, radius = reach_ball(robot)
+    *centre, radius = tight_reach_ball(robot)
     for q in rng.uniform(robot.lower, robot.upper, (50, robot.dof)):
         solids = arm_solids(robot, q)
         far = max(np.linalg.norm(solid.core - centre, axis=1).max() + solid.rounding for solid in solids)
@@ -222,7 +223,7 @@ def test_many_voxels_and_the_memory_of_frames_before(robot):
     again = filter_frame(robot, frame, CloudOptions(), scratch=scratch)
     np.testing.assert_array_equal(again.points, found.points)
     assert again.report == found.report
-    cells = np.floor((points - reach_ball(robot)[:3]) / (2.0 * 5e-3 / np.sqrt(3.0)))
+    cells = np.floor((points - tight_reach_ball(robot)[:3]) / (2.0 * 5e-3 / np.sqrt(3.0)))
     blocks = len(np.unique(cells // 4, axis=0))
     _, number, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     low, high = np.full((len(count), 3), np.inf), np.full((len(count), 3), -np.inf)

@@ -10,9 +10,9 @@ import pytest
 
 from hplan import Planner, PlanOptions
 from hplan.collision.coal_cloud import PointBlocks
+from hplan.collision.reach import tight_reach_ball
 from hplan.errors import InputError, NoPathError
 from hplan.geometry.cloud import Cloud
-from hplan.online.arm_shape import reach_ball
 from hplan.online.frame import CloudOptions
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import PointCloud, Sphere
@@ -114,7 +114,7 @@ def test_hidden_points_are_kept_between_frames(robot):
 
 
 def test_obstacles_within_tracking_displacement_are_kept(robot):
-    x, y, z, reach_m = reach_ball(robot)
+    x, y, z, reach_m = tight_reach_ball(robot)
     beyond = [[x + reach_m + 0.005 + CloudOptions().growth_m + CloudOptions().reach_margin_m + 0.02, y, z]]
     for error_rad, kept in ((0.0, 0), (0.05, 1)):
         planner = Planner(robot, a_scene(), PlanOptions(tracking_error=error_rad))

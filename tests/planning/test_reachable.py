@@ -112,7 +112,7 @@ def test_blocking_obstacle_and_depth_are_reported(arm: Robot, gap: float) -> Non
     far = fruit("far", 10.0, 9.0, z)
     found = hplan.reachable(arm, task(TUCKED, Goal(fruit="apple"), [ball], fruits=(apple, far)))
     assert found["far"].reason == "out_of_reach"
-    assert "beyond the reach" in found["far"].detail
+    assert "beyond the maximum distance" in found["far"].detail
     one = found["apple"]
     assert one.can_be_picked is (gap > 0.0)
     if gap < 0.0:

@@ -302,7 +302,7 @@ def test_xyz_with_comments_and_more_columns(tmp_path):
 
 
 def test_other_formats_and_missing_files(tmp_path):
-    with pytest.raises(SceneError, match=r"'cloud.pcd' is no point file .*one of .ply, .xyz"):
+    with pytest.raises(SceneError, match=r"'cloud.pcd' is not a readable point file.*one of .ply, .xyz"):
         read(b"# .PCD v.7", tmp_path, name="cloud.pcd")
     with pytest.raises(SceneError, match=r"line 6, obstacles\[0\].file: cannot read .*gone.ply"):
         parse_scene(HEAD + "- {name: a, kind: points, file: gone.ply, radius: 1}\n", path=tmp_path / "scene.yaml")

@@ -58,7 +58,7 @@ def test_columns_in_any_order_among_others(write):
         (HEADER, 1, "no capsules follow the header"),
         (TREE.replace("0.005", "nan"), 3, "radius is 'nan', expected a finite number"),
         (TREE.replace("0.3", "1,5"), 3, "9 values, expected 8"),
-        (TREE.replace("1.2,0.02", "1598,0.02"), 2, "z2 is 1598, expected metres, 1000 at most"),
+        (TREE.replace("1.2,0.02", "1598,0.02"), 2, "z2 is 1598, expected metres, at most 1000"),
         (TREE.replace("branch", " "), 3, "kind is empty"),
         (TREE.replace("0,0,0,0,0,1.2", "0,0,1.2,0,0,1.2"), 2, "both ends are in the same place"),
     ],

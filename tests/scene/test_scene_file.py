@@ -371,9 +371,9 @@ def test_shapes_do_not_reach_farther_than_a_scene():
     millimetres = Mesh.of("m", 1e6 * vertices, faces, scale=1e-3)
     assert millimetres.surface[0].max() == pytest.approx(1e3)
     for shift, scale in ((2e7, 1e-3), (1e306, 1e-303), (1.0, 1e308)):
-        with pytest.raises(SceneError, match=r"reach|across"):
+        with pytest.raises(SceneError, match=r"coordinates|across"):
             Mesh.of("m", vertices + shift, faces, scale=scale)
-    with pytest.raises(SceneError, match=r"points reach 1.1e\+04; expected metres, at most 10000"):
+    with pytest.raises(SceneError, match=r"points have coordinates of 1.1e\+04; expected metres, at most 10000"):
         PointCloud.of("c", [[0.0, 0.0, 1.1e4]], 0.1)
     with pytest.raises(SceneError, match="less than or equal to 10000"):
         PointCloud.of("c", [[0.0, 0.0, 0.0]], 1e308)

@@ -481,7 +481,7 @@ def test_command_lists_unpicked_fruit(
 
 def test_drop_off_at_pose_names_alternative(robot: Robot, scene: Scene) -> None:
     pose = Goal(position=(1.0, 0.0, 1.0), quaternion_xyzw=(0.0, 0.0, 0.0, 1.0))
-    with pytest.raises(UnreachableError, match="as a position alone"):
+    with pytest.raises(UnreachableError, match="give other goals as positions"):
         plan_tour(robot, scene, OPTIONS, fruits=["a"], tour=TourOptions(drop_off=pose))
 
 

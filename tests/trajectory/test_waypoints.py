@@ -176,7 +176,7 @@ def test_script_failures(script, capsys, files, tmp_path, arguments, status, rea
 
 def test_script_does_not_overwrite_its_input(script, capsys, files, tmp_path):
     before = files[1].read_bytes()
-    for out, reason in ((files[1], "another file"), (tmp_path / "none" / "o.csv", "folder does not exist")):
+    for out, reason in ((files[1], "a file other than"), (tmp_path / "none" / "o.csv", "folder does not exist")):
         status, _, text = run(script, capsys, *files, "--acceleration", 4, "--out", out)
         assert status == 2
         assert reason in text

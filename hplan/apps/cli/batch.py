@@ -39,19 +39,31 @@ def parser(prog: str) -> argparse.ArgumentParser:
     """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EPILOG, prog=prog)
     add = parser.add_argument
-    add("scenes", nargs="+", metavar="SCENE", help="scene files, or names of shipped scenes")
+    add("scenes", nargs="+", metavar="SCENE", help="scene files or names of shipped scenes")
     add("--out", type=Path, default=Path("batch.csv"), metavar="CSV", help="table to write, and to resume from "
         "(default: batch.csv)")  # fmt: skip
     add("--trajectories", type=Path, metavar="DIR", help="folder for the motions as CSV (default: none are written)")
     add("--jobs", type=int, metavar="N", help="number of concurrent plans (default: one per processor)")
     add_shared(parser, "robot", "parts")
-    add("--method", choices=("two-level", "dense"), default="two-level", help="search (default: two-level)")
+    add("--method", choices=("two-level", "dense"), default="two-level", help="grid search (default: two-level)")
     add("--objective", choices=("duration", "length"), default="duration", help="cost to minimize (default: duration)")
     add_shared(parser, "effort", "seed")
-    add("--link-model", choices=("capsule", "paper", "rectangle"), default="capsule", help="link shapes of the C-space "
-        "(default: capsule)")  # fmt: skip
-    add("--step", dest="step_deg", type=float, default=1.0, metavar="DEG", help="joint grid spacing (default: 1)")
-    add("--standoff", type=float, metavar="M", help="length of the straight approach (default: 0.1 for a fruit)")
+    add("--link-model", choices=("capsule", "paper", "rectangle"), default="capsule", help="shape of the links "
+        "in the grid search (default: capsule)")  # fmt: skip
+    add(
+        "--step",
+        dest="step_deg",
+        type=float,
+        default=1.0,
+        metavar="DEG",
+        help="spacing of the joint grid in degrees (default: 1)",
+    )
+    add(
+        "--standoff",
+        type=float,
+        metavar="M",
+        help="length of the straight approach in metres (default: 0.1 to a fruit)",
+    )
     add_shared(parser, "pace", "tracking", "sigmas", "risk", "capture", "deadline", "quiet")
     return parser
 
@@ -78,7 +90,10 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
 
 
 def _show(console: Console, rows: Sequence[BatchRow], path: Path) -> None:
-    """Print one line for each scene, and the error of each that has no motion."""
+    """Print one line for each scene, and errors.
+
+    Scenes without a motion have an error.
+    """
     lines = [
         (
             escape(row.scene),

@@ -31,7 +31,10 @@ OUT = Path("out")
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser whose error about an unknown option names the one with the most similar spelling."""
+    """Parser whose error about an unknown option names the nearest.
+
+    The option with the most similar spelling.
+    """
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse the arguments, and refuse unknown ones."""
@@ -79,7 +82,7 @@ _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
     ("robot", "--robot", "URDF file or name of a robot, such as panda or ur5 (default: the scene's robot, else "
         "harvester)",
         {"type": Path, "metavar": "URDF"}),
-    ("robot", "--limits", "file of acceleration limits, or name of a robot whose limits ship with hplan (default: "
+    ("robot", "--limits", "limits file, or name of a robot whose limits ship with hplan (default: "
         "NAME.limits.yaml next to the URDF)", {"type": Path, "metavar": "YAML"}),
     ("parts", "--hold", "positions of locked joints, in radians or, for prismatic joints, metres",
         {"nargs": "+", "action": "extend", "default": [], "metavar": "NAME=RAD"}),
@@ -88,7 +91,7 @@ _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
     ("parts", "--srdf", "SRDF file with the pairs of links that may touch, for general (non-planar) arms",
         {"type": Path, "metavar": "FILE"}),
     ("parts", "--allow-neighbours", "let links touch that have one joint between them", {"action": "store_true"}),
-    ("parts", "--package-dir", "where packages and meshes are looked for first",
+    ("parts", "--package-dir", "folder that is searched first for packages and meshes; may be repeated",
         {"action": "append", "type": Path, "default": [], "metavar": "DIR"}),
     ("parts", "--xacro", "arguments of a xacro file as names and values",
         {"nargs": "+", "action": "extend", "default": [], "metavar": "NAME:=VALUE"}),

@@ -82,7 +82,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
         "--limits",
         type=Path,
         metavar="YAML",
-        help="file of acceleration limits, or name of a robot whose limits ship with hplan "
+        help="limits file, or name of a robot whose limits ship with hplan "
         "(default: NAME.limits.yaml next to the URDF)",
     )
     limits.add_argument(
@@ -105,7 +105,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
         help="output file (default: timed.csv); with --scene the output folder (default: out)",
     )
     add_shared(parser, "force")
-    add("--quiet", action="store_true", help="no summary")
+    add("--quiet", action="store_true", help="print no summary")
     add("--scene", metavar="SCENE", help="scene file or name of a shipped scene, with the obstacles")
     add("--keep-path", action="store_true", help="keep the path's shape within --deviation (default: shorten the path)")
     add("--poses", action="store_true", help="with --scene: the waypoints are tool poses in base_link, in columns "

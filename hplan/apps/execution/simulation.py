@@ -116,7 +116,7 @@ def read_motion(path: Path | str) -> RecordedMotion:
         raise file.fault(1, f"expected a header with the columns time_s and, for each joint, {names}")
     twice = sorted({name for name in header if header.count(name) > 1})
     if twice:
-        raise file.fault(1, f"column {twice[0]!r} is there twice")
+        raise file.fault(1, f"column {twice[0]!r} occurs twice")
     kinds = [(joint, joint_unit(slide).columns) for joint, slide in zip(joints, slides, strict=True)]
     wanted = ["time_s", *(f"{joint}_{names[0]}" for joint, names in kinds)]
     velocities = [f"{joint}_{names[1]}" for joint, names in kinds]

@@ -21,9 +21,10 @@ from hplan.apps.view.playback import Playback
 from hplan.apps.view.three_js import Body, Json
 from hplan.base.arrays import FloatArray
 from hplan.collision.collision_bodies import collision_bodies
+from hplan.collision.reach import reach_ball
 from hplan.geometry.hull import CUBE_CORNERS
 from hplan.geometry.polyline import stations
-from hplan.online.arm_shape import reach_ball
+from hplan.robot.dynamics import joint_axis
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Solid
@@ -125,10 +126,10 @@ def _looks(robot: Robot) -> Sequence[pin.GeometryObject]:
 def _posed(robot: Robot, q: FloatArray, top: str, surface: Json | None = None, **settings: Any) -> list[Json]:
     """Draw the robot at a configuration, in colour or as a ghost.
 
-    A ghost omits the bodies below the shoulder, which at most turn in place.
+    A ghost omits the base, and bodies that turn about the vertical in place.
     """
     bodies: dict[int, Body] = defaultdict(Body)
-    first = 0 if surface is None else 1 if robot.planar is None else robot.model.getJointId(robot.arm.joint_names[0])
+    first = 0 if surface is None else 2 if robot.dof > 1 and _turns_upright(robot) else 1
     for item in _looks(robot):
         if item.parentJoint >= first:
             look = surface or three.material(three.color_of(item.meshColor), opacity=float(item.meshColor[3]))
@@ -143,6 +144,12 @@ def _posed(robot: Robot, q: FloatArray, top: str, surface: Json | None = None, *
         if len(bodies[joint]) > 0:
             commands.append(set_object(path, bodies[joint]))
     return commands
+
+
+def _turns_upright(robot: Robot) -> bool:
+    """True if the first joint turns about the vertical."""
+    axis, slides = joint_axis(robot.model, 1)
+    return not slides and abs(float(robot.model.jointPlacements[1].rotation[2] @ axis)) > 1.0 - 1e-9
 
 
 def _animation(robot: Robot, scene: Scene, playback: Playback, picks: Sequence[scenery.Pick]) -> Json:
@@ -237,46 +244,40 @@ def _floor(robot: Robot, stands: Sequence[Scene]) -> float:
 
     0, or the bottom of furniture below the arm's foot.
 
-    Such furniture is a table, shelf or platform that extends below the foot. Arms of the planar family are mounted on
-    the ground.
+    Such furniture is a table, shelf or platform that extends below the foot.
     """
-    if robot.planar is not None:
-        return 0.0
     solids = [_outline(solid) for scene in stands for item in scene.obstacles for solid in item.solids]
     lowest = min((float(core[:, 2].min()) for core in solids if not _is_ground(robot, core)), default=0.0)
     return min(0.0, max(lowest, -float(reach_ball(robot)[3])))
 
 
 def _is_ground(robot: Robot, corners: FloatArray) -> bool:
-    """True if a body does not extend above the arm's foot.
-
-    For general (non-planar) arms the arm must also be unable to span the body.
-    """
+    """True if a body does not extend above the arm's foot and is wider than the arm can span."""
     if corners[:, 2].max() > 0.0:
         return False
-    wide = np.ptp(corners[:, :2], axis=0).max() > 2.0 * reach_ball(robot)[3]
-    return robot.planar is not None or bool(wide)
+    return bool(np.ptp(corners[:, :2], axis=0).max() > 2.0 * reach_ball(robot)[3])
 
 
 def _frame(robot: Robot, stands: Sequence[Scene], trajectory: Trajectory, picks: Sequence[int], floor: float) -> Frame:
-    """Place the camera to view the arm plane from the side.
+    """Place the camera to view the arm from the side.
 
-    The scene fills the picture.
-
-    For several picked fruits, the camera uses the plane in the middle of the picks. Among four candidate directions, in
-    front of and behind the arm, it takes the one that hides the least of the arm and its path.
+    The scene fills the picture. The side is that of the vertical plane through the first joint and the tool; for
+    several picked fruits, of the plane in the middle of the picks. Among four candidate directions, in front of and
+    behind the arm, it takes the one that hides the least of the arm and its path.
     """
     count = min(25 * max(1, len(picks)), 100)
     rows = np.unique([*np.linspace(0, trajectory.samples - 1, count).astype(int), *picks])
     configurations = trajectory.position[rows]
-    yaws = [robot.yaw_of(q) for q in (trajectory.position[picks] if len(picks) > 1 else configurations)]
-    yaw = 0.5 * (min(yaws) + max(yaws))
+    tool = robot.tool_positions(trajectory.position[picks] if len(picks) > 1 else configurations)
+    out = tool[:, :2] - robot.model.jointPlacements[1].translation[:2]
+    headings = np.unwrap(np.arctan2(out[:, 1], out[:, 0]))
+    heading = 0.5 * float(headings.min() + headings.max())
     # Camera directions: to the side of the arm plane, turned forwards or backwards, and raised [deg].
     aside, elevation = 32.0, np.radians(17.0)
     arm = _arm_points(robot, configurations)
     blocking = [_blocking_points(scene) for scene in stands]
     before, widths = (np.concatenate(values) for values in zip(*blocking, strict=True))
-    sides = yaw + np.radians([turn for side in (-90.0, 90.0) for turn in (side + aside, side - aside)])
+    sides = heading + np.radians([turn for side in (-90.0, 90.0) for turn in (side + aside, side - aside)])
     hidden = [framing.covered(arm, before, widths, azimuth, elevation) for azimuth in sides]
     visible = _visible_points(robot, stands, np.vstack([arm, _corners(robot, configurations)]), floor)
     return framing.frame(visible, float(sides[int(np.argmin(hidden))]), elevation)

@@ -117,7 +117,7 @@ def _planned() -> Iterator[tuple[str, NDArray]]:
     scenes = {path.stem: load_scene(path) for path in sorted(scenes_dir().glob("*.yaml"))}
     tasks = [(name, scene, PlanOptions()) for name, scene in scenes.items()]
     tasks += [
-        ("turning", scenes["table-1"].with_(locked_joints=()), PlanOptions()),
+        ("turning", scenes["table-1"].with_values(locked_joints=()), PlanOptions()),
         ("shortest", scenes["table-1"], PlanOptions(objective="length")),
         ("dense", scenes["table-1"], PlanOptions(method="dense", step_deg=3.0)),
     ]

@@ -169,7 +169,7 @@ def _standing(result: Any) -> bytes:
 
 def _cspace(result: hplan.PlanResult) -> bytes:
     """A PNG of the joint space at the goal's yaw, with the motion in it."""
-    section = yaw_section(result.robot, result.scene, Playback.of(result))
+    section = yaw_section(result.robot, result.scene, Playback.from_result(result))
     figure = png_bytes(cspace_at_yaw(section, result.scene.name), dpi=110)
     return _png(Image.open(io.BytesIO(figure)), result.trajectory.duration)
 

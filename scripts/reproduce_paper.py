@@ -29,7 +29,7 @@ if __name__ == "__main__":  # runs from a checkout too
 from hplan.apps.cli.job_folder import prepare_folder
 from hplan.apps.cli.options import command_parser
 from hplan.apps.cli.terminal import progress_line, run_command
-from hplan.base.files import replacing
+from hplan.base.files import replace_file
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -76,7 +76,7 @@ def _run(options: argparse.Namespace, console: Console, errors: Console) -> int:
     contents |= {"reproduction.md": text.encode(), "reproduction.json": record.encode()}
     with ExitStack() as files:  # all or none
         for name, content in contents.items():
-            files.enter_context(replacing(out / name)).write_bytes(content)
+            files.enter_context(replace_file(out / name)).write_bytes(content)
     console.print(text, markup=False, soft_wrap=True)
     console.print(f"written to {out}: {len(contents)} files", markup=False, soft_wrap=True)
     return 0

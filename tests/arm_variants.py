@@ -96,7 +96,7 @@ def load_variant(name: str, folder: Path) -> Robot:
     np.testing.assert_allclose(robot.arm.half_widths, widths, rtol=1e-12)
     links = {body.name for body in collision_bodies(robot)}
     robot = replace(robot, may_touch=tuple((*pair, "a test") for pair in itertools.combinations(sorted(links), 2)))
-    robot.cached("self_contact", lambda: lambda *_: SelfContact())  # for any tracking error and clearance
+    robot.cache("self_contact", lambda: lambda *_: SelfContact())  # for any tracking error and clearance
     return robot
 
 

@@ -262,13 +262,13 @@ def problem_between(world: World, start: ArrayLike, goal: ArrayLike, locked_join
     first = Start(joints_rad=tuple(np.asarray(start, dtype=np.float64).tolist()))
     stay = Goal(joints_rad=first.joints_rad)
     scene = Scene(name="between", start=first, goal=stay, locked_joints=tuple(locked_joints))
-    return Problem.of(world.robot, scene, PlanOptions()).among(world).between(start, goal)
+    return Problem.from_scene(world.robot, scene, PlanOptions()).in_world(world).from_configurations(start, goal)
 
 
 def posed(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> Problem:
     """The problem of a scene whose goal is given as joints."""
-    problem = Problem.of(robot, scene, PlanOptions() if options is None else options)
-    return problem.between(scene.start.configuration, scene.goal.configuration)
+    problem = Problem.from_scene(robot, scene, PlanOptions() if options is None else options)
+    return problem.from_configurations(scene.start.configuration, scene.goal.configuration)
 
 
 #: A ball in the plane of a locked base, and configurations below and above it.

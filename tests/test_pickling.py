@@ -175,7 +175,7 @@ def test_plan_arrives_and_can_be_certified(robot: Robot, scene: Scene, locked: h
     assert_alike(locked, found)
     assert found.certificate == locked.certificate
     assert found.report == locked.report
-    assert found.picked == locked.picked
+    assert found.picked == locked.picked_fruit
     again = hplan.certify(found.motion.problem.robot, found.motion.problem.scene, found.trajectory)
     assert again == hplan.certify(robot, scene, locked.trajectory)
     checker = found.motion.problem.world.checker
@@ -208,8 +208,8 @@ def test_scene_with_mesh_and_points_arrives(robot: Robot, travelled: Callable[[A
     faces = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
              (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]  # fmt: skip
     obstacles = (
-        Mesh.of("crate", corners, faces, position=(1.0, 0.3, 0.5)),
-        PointCloud.of("leaves", corners, 0.01, position=(1.0, -0.4, 0.5)),
+        Mesh.from_arrays("crate", corners, faces, position=(1.0, 0.3, 0.5)),
+        PointCloud.from_points("leaves", corners, 0.01, position=(1.0, -0.4, 0.5)),
     )
     scene = task((0.0, 60.0, 40.0, 30.0), (30.0, 30.0, 30.0, 30.0), obstacles)
     found = travelled(scene)

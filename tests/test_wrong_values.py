@@ -26,7 +26,7 @@ from hplan.base.checked import Options
 from hplan.base.files import write_text
 from hplan.errors import HplanError, InputError, SceneError
 from hplan.online.frame import CloudOptions
-from hplan.planar.grid import dense_search, reachable, slices_with_path, two_level_search
+from hplan.planar.grid import dense_search, reachable_nodes, slices_with_path, two_level_search
 from hplan.planar.grid.grid import Grid, Occupancy
 from hplan.robot.family.members import HARVESTER, ArmSpec, cross_check, load_member, write_robot
 from hplan.robot.tracking import TrackingModel
@@ -49,7 +49,7 @@ from hplan.study.definition import Study
 from hplan.study.run import run_study
 from hplan.tour.tour import TourOptions
 from hplan.trajectory import corner_grid, limit_shares, limits_of, read_kinematics, read_waypoints, time_waypoints
-from hplan.trajectory.corner_rounding import largest_deviation, rounded_path
+from hplan.trajectory.corner_rounding import largest_path_deviation, rounded_path
 
 NAN, INF = math.nan, math.inf
 
@@ -86,7 +86,7 @@ ROBOT = hplan.load_robot()
 
 def a_cell() -> hplan.Cell:
     start = Start(joints_deg=(0.0, 60.0, 60.0, 60.0))
-    return hplan.Cell.of(CellScene(name="c", robots=(CellRobot(name="a", start=start),)), {"a": ROBOT})
+    return hplan.Cell.from_robots(CellScene(name="c", robots=(CellRobot(name="a", start=start),)), {"a": ROBOT})
 
 
 START, GOAL = Start(joints_deg=(0.0,) * 4), Goal(joints_deg=(0.0, 45.0, 60.0, 70.0))
@@ -126,7 +126,7 @@ def a_trajectory(**changes: Any) -> hplan.Trajectory:
 
 
 def free() -> Occupancy:
-    return Occupancy.from_mask(Grid.over([0.0, 0.0], [1.0, 1.0], 0.5), np.zeros((3, 3), dtype=np.bool_))
+    return Occupancy.from_mask(Grid.from_limits([0.0, 0.0], [1.0, 1.0], 0.5), np.zeros((3, 3), dtype=np.bool_))
 
 
 BALL: dict[str, Any] = {"name": "ball", "center": (0.0, 0.0, 0.0), "radius": 0.1}
@@ -228,16 +228,16 @@ CASES: dict[str, Case] = {
     ),
     "Sway": case(Sway, "direction:vector amplitude_m:length", direction=(0.0, 1.0, 0.0), amplitude_m=0.1),
     "Fruit": case(Fruit, **BALL),
-    "Mesh.of": case(
-        Mesh.of,
+    "Mesh.from_arrays": case(
+        Mesh.from_arrays,
         "vertices:matrix faces:matrix scale:length position:vector",
         {"colour": ("red",)},
         name="m",
         vertices=TETRA[0],
         faces=TETRA[1],
     ),
-    "PointCloud.of": case(PointCloud.of, "points:matrix", name="p", points=TETRA[0], radius=0.1),
-    "Mesh.write": case(Mesh.of("m", *TETRA).write, "path:path", path="m.ply"),
+    "PointCloud.of": case(PointCloud.from_points, "points:matrix", name="p", points=TETRA[0], radius=0.1),
+    "Mesh.write": case(Mesh.from_arrays("m", *TETRA).write, "path:path", path="m.ply"),
     "Start": case(Start, bad={"joints_deg": (None, "0", 1.0), "joints_rad": ((0.0,),)}, joints_deg=(0.0,)),
     "Goal": case(Goal, "position:place", {"fruit": (None, 1), "approach_deg": NO_NUMBER[1:5]}, fruit="apple"),
     "Scene": case(
@@ -283,7 +283,7 @@ CASES: dict[str, Case] = {
     "load_cell": case(hplan.load_cell, path="cell.yaml"),
     "plan_cell": case(hplan.plan_cell, cell=a_cell()),
     "plan_cell_tour": case(hplan.plan_cell_tour, cell=a_cell()),
-    "certify_cell": case(hplan.certify_cell, "check_ends:other", cell=a_cell(), motion=a_cell().together({})),
+    "certify_cell": case(hplan.certify_cell, "check_ends:other", cell=a_cell(), motion=a_cell().join_motions({})),
     "replan_cell": case(hplan.replan_cell, result=None, t=0.5, arm="a"),
     "check": case(
         hplan.check,
@@ -329,7 +329,7 @@ CASES: dict[str, Case] = {
         lambda **given: a_running_planner().stop_at(**given), "t:size", {"now": (*NO_NUMBER[1:], -1.0, 99.0)}, t=0.1
     ),
     "Trajectory.stop_at": case(a_trajectory().stop_at, "t:size", t=0.5, robot=ROBOT),
-    "Trajectory.scaled": case(a_trajectory().scaled, "profile:positive", profile=0.5, robot=ROBOT),
+    "Trajectory.scale_speed": case(a_trajectory().scale_speed, "profile:positive", profile=0.5, robot=ROBOT),
     "certify": case(
         hplan.certify,
         "checker:other",
@@ -371,8 +371,8 @@ CASES: dict[str, Case] = {
     "run_study": case(run_study, "rows:path", {"study": (3, "missing.yaml", ()), "executor": (3, "pool")}, study=None),
     "plan_row": case(hplan.plan_row, bad={"row": (3, "row"), "tour": (3, "tour"), "executor": (3, "pool")}),
     "cross_check": case(cross_check, "urdf_path:file samples:whole", urdf_path="a.urdf"),
-    "Grid.over": case(
-        Grid.over,
+    "Grid.from_limits": case(
+        Grid.from_limits,
         bad={"lower": (None, "0", 1.0), "upper": (None, [NAN], [INF]), "step": (None, "1", NAN)},
         lower=[0.0],
         upper=[1.0],
@@ -385,17 +385,21 @@ CASES: dict[str, Case] = {
         occupied=np.zeros((3, 3), dtype=np.bool_),
     ),
     **{
-        "reachable nodes" if function is reachable else function.__name__: case(
+        "reachable nodes" if function is reachable_nodes else function.__name__: case(
             function,
             bad={"start": (None, "00", (0,), (0.0, 0.0), (9, 9), (NAN, 0), [[0], [0, 1]], 0, NoArray())},
             occupancy=free(),
             start=(0, 0),
-            **({} if function is reachable else {"goal": (2, 2)}),
+            **({} if function is reachable_nodes else {"goal": (2, 2)}),
         )
-        for function in (dense_search, reachable, slices_with_path, two_level_search)
+        for function in (dense_search, reachable_nodes, slices_with_path, two_level_search)
     },
     "rounded_path": case(rounded_path, waypoints=[[0.0] * 4], deviation_rad=0.1),
-    "largest_deviation": case(largest_deviation, "positions:matrix", positions=[[0.0] * 4], waypoints=[[0.0] * 4]),
+    "largest_path_deviation": case(
+        largest_path_deviation, "positions:matrix", positions=[[0.0] * 4], waypoints=[[0.0] * 4]
+    ),
+        largest_path_deviation, "positions:matrix", positions=[[0.0] * 4], waypoints=[[0.0] * 4]
+    ),
     "limits_of": case(
         limits_of,
         bad={"acceleration": (None, "a", NAN), "jerk": ("a", NAN, -1.0), "torque": (None, "no")},
@@ -416,8 +420,8 @@ CASES: dict[str, Case] = {
         path=str(ROBOT.urdf_path),
     ),
     "read_waypoints": case(read_waypoints, bad={"joint_names": (None, "a", [1])}, path="w.csv", joint_names=["a"]),
-    "Trajectory.since": case(a_trajectory().since, "row:whole", row=1),
-    "Trajectory.until": case(a_trajectory().until, "row:whole", row=1),
+    "Trajectory.since": case(a_trajectory().cut_before, "row:whole", row=1),
+    "Trajectory.until": case(a_trajectory().cut_after, "row:whole", row=1),
     "Trajectory.positions": case(
         a_trajectory().positions, bad={"clock": (*NO_MATRIX[:3], [NAN], [[0.0]])}, clock=[0.0]
     ),
@@ -425,7 +429,7 @@ CASES: dict[str, Case] = {
     "Robot.yaw_of": case(ROBOT.yaw_of, bad={"q": (None, "0000", 1.0)}, q=[0.0] * 4),
     "Robot.plane_at": case(ROBOT.plane_at, "yaw:number", yaw=0.0),
     "Robot.sway": case(ROBOT.sway, bad={"deviation": (None, "0.1", NAN)}, deviation=0.1),
-    "Playback.of": case(Playback.of, result=None),
+    "Playback.from_result": case(Playback.from_result, result=None),
     "Playback": case(Playback, "begin_s:number", {"picked": (None, [], {1: 0.0}), "phases": (None, 1.0, [None])}),
     "write_page": case(write_page, "path:path", playback=Playback(a_trajectory()), path="a.html"),
     "corner_grid": case(corner_grid, "path:object"),

@@ -59,12 +59,12 @@ def by_name(option: str, value: Any, expected: str, accepts: Callable[[float], b
     return {str(name): number(f"{option}[{name!r}]", each, expected, accepts) for name, each in value.items()}
 
 
-def between(option: str, value: Any, low: float, high: float) -> float:
+def check_between(option: str, value: Any, low: float, high: float) -> float:
     """Return a number in the closed interval [low, high]."""
     return number(option, value, f"a number between {low:g} and {high:g}", lambda value: low <= value <= high)
 
 
-def whole(option: str, value: Any, least: int, most: int | None = None) -> int:
+def check_integer(option: str, value: Any, least: int, most: int | None = None) -> int:
     """Return an integer from `least` to `most`; None for no maximum."""
     is_whole = isinstance(value, Integral) and not isinstance(value, bool)
     if not is_whole or value < least or (most is not None and value > most):
@@ -122,7 +122,7 @@ def decimal(text: str) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def each(option: str, values: Any, expected: str, check: Callable[[str, Any], _T]) -> tuple[_T, ...]:
+def check_each(option: str, values: Any, expected: str, check: Callable[[str, Any], _T]) -> tuple[_T, ...]:
     """Return a tuple of checked values; the error names the index.
 
     A string is rejected, not split into letters.
@@ -138,7 +138,7 @@ def each(option: str, values: Any, expected: str, check: Callable[[str, Any], _T
 
 def list_between(option: str, values: Any, low: float, high: float) -> tuple[float, ...]:
     """Return numbers in the closed interval [low, high]."""
-    return each(option, values, "a list of numbers", lambda name, value: between(name, value, low, high))
+    return check_each(option, values, "a list of numbers", lambda name, value: check_between(name, value, low, high))
 
 
 def list_of(option: str, values: Any, kind: Any, what: str) -> tuple[Any, ...]:
@@ -149,4 +149,4 @@ def list_of(option: str, values: Any, kind: Any, what: str) -> tuple[Any, ...]:
             raise OptionError(place, item, f"one of a list of {what}")
         return item
 
-    return each(option, values, f"a list of {what}", check)
+    return check_each(option, values, f"a list of {what}", check)

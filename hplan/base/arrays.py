@@ -71,7 +71,7 @@ def numbers(
     except ValueError as error:
         raise InputError(f"{option}: expected {expected}, got rows of different lengths", option=option) from error
     if array.size and array.dtype.kind not in "fiu":
-        raise InputError(f"{option}: expected {expected}, got {_short(values)}", option=option)
+        raise InputError(f"{option}: expected {expected}, got {_shorten_repr(values)}", option=option)
     last = shape[1:] if shape[:1] == (...,) else shape
     fits = (array.ndim == len(shape) or (last is not shape and array.ndim >= len(last))) and all(
         wanted is None or wanted == count for wanted, count in zip(reversed(last), reversed(array.shape), strict=False)
@@ -92,7 +92,7 @@ def numbers(
     return result
 
 
-def _short(value: object) -> str:
+def _shorten_repr(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 80 else f"{text[:77]}..."
 
@@ -113,7 +113,7 @@ def _brief(value: object) -> str:
             return np.array2string(value, precision=6, separator=", ", max_line_width=10_000)
         return f"<{value.dtype} {value.shape}>"
     if isinstance(value, str | bool | int | float | complex | PurePath | type(None)):
-        return _short(value)
+        return _shorten_repr(value)
     if isinstance(value, tuple | list) and not hasattr(value, "_fields"):
         if len(value) > MOST_SHOWN:
             return f"<{len(value)} items>"

@@ -60,7 +60,7 @@ class Options:
         for name in values:
             object.__setattr__(self, name, getattr(checked, name))
 
-    def with_(self, **changes: Any) -> Self:
+    def with_values(self, **changes: Any) -> Self:
         """Return a checked copy with other values.
 
         Args:
@@ -71,7 +71,7 @@ class Options:
 
         Examples:
             >>> from hplan import PlanOptions
-            >>> PlanOptions().with_(speed=0.5).speed
+            >>> PlanOptions().with_values(speed=0.5).speed
             0.5
         """
         kind: Any = type(self)
@@ -102,7 +102,7 @@ def _place(value: Any, steps: Sequence[Any]) -> str:
 class StrictModel(BaseModel):
     """Immutable model without unknown keys, NaN, infinity or text as number.
 
-    Lists and arrays become tuples. Values are checked by each way to make an object: the constructor, `with_`, and
+    Lists and arrays become tuples. Values are checked by each way to make an object: the constructor, `with_values` and
     pydantic's `model_copy`.
 
     Raises:
@@ -132,7 +132,7 @@ class StrictModel(BaseModel):
         """Map names and aliases to field names."""
         return _names_of(cls)
 
-    def with_(self, **changes: Any) -> Self:
+    def with_values(self, **changes: Any) -> Self:
         """Return a checked copy with other values.
 
         All values are checked together, as in the constructor. Nested models may be given as objects or as mappings.
@@ -146,9 +146,9 @@ class StrictModel(BaseModel):
         Examples:
             >>> from hplan.scene import Sphere
             >>> apple = Sphere(name="apple", center=(1.0, 0.0, 1.5), radius=0.04)
-            >>> apple.with_(radius=0.05).radius
+            >>> apple.with_values(radius=0.05).radius
             0.05
-            >>> apple.with_(centre=(0.0, 0.0, 1.0))
+            >>> apple.with_values(centre=(0.0, 0.0, 1.0))
             Traceback (most recent call last):
             ...
             hplan.errors.bad_input.SceneError: scene, centre: a Sphere has no 'centre'; did you mean 'center'?
@@ -158,20 +158,20 @@ class StrictModel(BaseModel):
             if key not in names:
                 raise self.error(f"a {type(self).__name__} has no {key!r}; {nearest_name(key, names)}", where=key)
         kept = {key: getattr(self, key) for key in fields if key in self.model_fields_set}
-        return self._validated(kept | {names[key]: value for key, value in changes.items()})
+        return self._validate(kept | {names[key]: value for key, value in changes.items()})
 
     def copy_unchecked(self, changes: Mapping[str, Any]) -> Self:
         """Return an unchecked copy with other values, computed by hplan itself."""
         return super().model_copy(update=changes)
 
-    def _validated(self, values: dict[str, Any]) -> Self:
+    def _validate(self, values: dict[str, Any]) -> Self:
         """Construct an object of the same class from values by field name.
 
         Raises:
             SceneError: A value has the wrong type or range.
         """
         try:
-            return validated(type(self), values, self._context(values))
+            return validate_part(type(self), values, self._context(values))
         except ValidationError as error:
             raise scene_error(error, self.error) from error
 
@@ -195,8 +195,8 @@ class StrictModel(BaseModel):
         __init__.__pydantic_base_init__ = True
 
         def model_copy(self, *, update=None, deep=False):
-            """Copy as in pydantic, but check new values as `with_` does."""
-            return super(StrictModel, self if not update else self.with_(**update)).model_copy(deep=deep)
+            """Copy as in pydantic, but check new values as `with_values` does."""
+            return super(StrictModel, self if not update else self.with_values(**update)).model_copy(deep=deep)
 
         def copy(self, *, update=None, deep=False):
             """Copy as `model_copy` does."""
@@ -211,7 +211,7 @@ class StrictModel(BaseModel):
             """Refuse to change a field; private attributes may change."""
             if not name.startswith("_"):
                 owner = type(self).__name__
-                raise self.error(f"a {owner} is immutable; with_({name}=...) returns a changed copy", where=name)
+                raise self.error(f"a {owner} is immutable; with_values({name}=...) returns a changed copy", where=name)
             super().__setattr__(name, value)
 
         @classmethod
@@ -239,7 +239,7 @@ def _names_of(kind: type[BaseModel]) -> Mapping[str, str]:
     return aliases | {name: name for name in fields}
 
 
-def validated(kind: type[_Part], content: Any, context: dict[str, Any]) -> _Part:
+def validate_part(kind: type[_Part], content: Any, context: dict[str, Any]) -> _Part:
     """Validate a part of a scene; the caller adds a fault's place.
 
     Raises:
@@ -271,11 +271,11 @@ def check_values(model: StrictModel, *place: int | str) -> None:
                 if isinstance(part, StrictModel):  # anything else is refused below, with its key path
                     check_values(part, *place, key, index)
     try:
-        validated(kind, dict(values), model._context(values))
+        validate_part(kind, dict(values), model._context(values))
     except ValidationError as error:
         found = scene_error(error, model.error)
-        where = ".".join(filter(None, (dotted(place), found.where))) or None
-        reason = f"{found.reason}; it was changed without checks: with_(...) returns a checked copy"
+        where = ".".join(filter(None, (format_key_path(place), found.where))) or None
+        reason = f"{found.reason}; it was changed without checks: with_values(...) returns a checked copy"
         raise model.error(reason, where=where, value=found.value) from error
 
 
@@ -299,7 +299,7 @@ def scene_error(error: ValidationError, kind: type[SceneError] = SceneError) -> 
     reason = plain_message(first)
     if first["type"] == "model_type":  # not a mapping in a file, but an object in a program
         reason = f"expected a {first['ctx']['class_name']} (got {_short(value)})"
-    return kind(reason, where=dotted(steps) or None, value=value)
+    return kind(reason, where=format_key_path(steps) or None, value=value)
 
 
 def worst_fault(error: ValidationError) -> Any:
@@ -310,7 +310,7 @@ def worst_fault(error: ValidationError) -> Any:
     return min(error.errors(), key=lambda item: item["type"] != "extra_forbidden")
 
 
-def dotted(steps: Sequence[int | str]) -> str:
+def format_key_path(steps: Sequence[int | str]) -> str:
     """Format a key path, for example `obstacles[0].radius`."""
     text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps)
     return text.lstrip(".")

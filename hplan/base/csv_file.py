@@ -52,7 +52,7 @@ class CsvFile:
         text = ByteBudget(128_000_000).text(
             path, lambda reason: InputError(f"{what} file {path}: {reason}", path=str(path))
         )
-        rows = _rows(path, what, text)
+        rows = _iterate_rows(path, what, text)
         if blank:
             rows = ((line, row) for line, row in rows if any(map(str.strip, row)))
         first, header = next(rows, (1, []))
@@ -104,7 +104,7 @@ class CsvFile:
         return value
 
 
-def _rows(path: Path, what: str, text: str) -> Iterator[tuple[int, list[str]]]:
+def _iterate_rows(path: Path, what: str, text: str) -> Iterator[tuple[int, list[str]]]:
     """Iterate over the rows of a text, with their last line numbers."""
     length = 0
 

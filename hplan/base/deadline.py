@@ -25,7 +25,7 @@ import numba as nb
 import numpy as np
 
 from hplan.base.arrays import FloatArray, frozen
-from hplan.base.kernels import inlined, kernel
+from hplan.base.kernels import inline, kernel
 from hplan.errors import HplanError, NotInTimeError, OptionError, PlanCancelledError
 
 #: Cancels a call: a function that returns a true value, or an event that is set.
@@ -245,7 +245,7 @@ def current() -> TimeLimit | None:
     return _CURRENT.get()
 
 
-def until() -> FloatArray:
+def kernel_time_limit() -> FloatArray:
     """(3,) argument of kernels for the limit of the current call."""
     limit = _CURRENT.get()
     return NEVER if limit is None else limit.until
@@ -297,7 +297,7 @@ def _is_up(until: FloatArray) -> bool:
     return up
 
 
-@inlined
+@inline
 def is_up(until: FloatArray) -> bool:
     """True after the deadline or cancellation."""
     up: bool = until[0] < np.inf and _is_up(until)

@@ -12,7 +12,7 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from hplan.base.arguments import file_path, instance
-from hplan.base.interrupts import uninterrupted
+from hplan.base.interrupts import defer_signals
 from hplan.errors import OutputError
 
 #: Files read since `protecting_inputs` began; None outside of it.
@@ -174,13 +174,13 @@ def write_bytes(path: Path, content: bytes) -> Path:
     Raises:
         OutputError: The file cannot be written.
     """
-    with replacing(path) as temporary, temporary.open("wb") as stream:
+    with replace_file(path) as temporary, temporary.open("wb") as stream:
         stream.write(content)
     return path
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replace_file(path: Path) -> Iterator[Path]:
     """Yield a temporary file that replaces `path` after the block.
 
     It is in the same folder, and deleted if the block fails.
@@ -193,11 +193,11 @@ def replacing(path: Path) -> Iterator[Path]:
         target = path.resolve()
         check_replaceable(target, path)
         new = target.with_name(f".hplan-{secrets.token_hex(8)}")
-        with uninterrupted():
+        with defer_signals():
             os.close(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
             temporary = new
         yield new
-        with uninterrupted():
+        with defer_signals():
             new.replace(target)
             temporary = None
     except (OSError, RuntimeError) as error:  # RuntimeError: circular links, before Python 3.13

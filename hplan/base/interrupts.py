@@ -3,7 +3,7 @@
 Python runs a signal handler between any two of its instructions. An exception raised there may interrupt a compiler,
 an import, a destructor or a callback of native code: the exception is lost, or the process crashes. So the handler
 waits while such code runs, and checks again some milliseconds later. Other code that must run to its end is put into
-`uninterrupted`.
+`defer_signals`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _POLL_S: Final = 0.01
 
 #: Signals within this time of the first count as the same request; a later one is urgent [s].
-_SAME_S: Final = 1.0
+_SAME_REQUEST_S: Final = 1.0
 
 #: Packages, modules and functions that no exception may interrupt.
 _UNSAFE_PACKAGES: Final = frozenset(
@@ -64,7 +64,7 @@ class _Waiting:
     """The pending signal.
 
     Attributes:
-        depth: Number of nested `uninterrupted` blocks of the main thread.
+        depth: Number of nested `defer_signals` blocks of the main thread.
         number: Number of the signal; 0 for none.
         first_s: Time of its arrival [s].
         raised_s: Time of the last raise [s]; infinite before the first.
@@ -85,16 +85,16 @@ class _Waiting:
     def come(self, number: int, frame: FrameType | None) -> None:
         """Handle a signal: raise it as soon as that is safe.
 
-        A second signal more than `_SAME_S` after the first raises it at once, except in `uninterrupted`. A signal more
-        than `_SAME_S` after the raise ends the process.
+        A second signal more than `_SAME_REQUEST_S` after the first raises it at once, except in `defer_signals`. A
+        signal more than `_SAME_REQUEST_S` after the raise ends the process.
         """
         now = time.monotonic()
         if not self.number:
             self.number, self.first_s = number, now
             self.look(frame)
-        elif now > self.raised_s + _SAME_S:
+        elif now > self.raised_s + _SAME_REQUEST_S:
             leave(128 + number)
-        elif self.raised_s == float("inf") and now > self.first_s + _SAME_S and not self.depth:
+        elif self.raised_s == float("inf") and now > self.first_s + _SAME_REQUEST_S and not self.depth:
             self.throw()
 
     def look(self, frame: FrameType | None) -> None:
@@ -164,7 +164,7 @@ def handling_signals() -> Iterator[None]:
 
 
 @contextmanager
-def uninterrupted() -> Iterator[None]:
+def defer_signals() -> Iterator[None]:
     """Inside, `handling_signals` raises no signal in the main thread.
 
     A pending signal is raised afterwards.

@@ -70,7 +70,7 @@ def kernels_below(kernel: Any) -> list[Any]:
     Raises:
         UnknownDependencyError: It reads an object of unknown kind (`code_digest`).
     """
-    found = dict.fromkeys(_reached([kernel], _SEEN))
+    found = dict.fromkeys(_iterate_dependencies([kernel], _SEEN))
     return [function for function in found if isinstance(function, Dispatcher)]
 
 
@@ -94,7 +94,7 @@ def value_digest(value: Any) -> str:
 def _digest(functions: Iterable[Any], seen: dict[Any, _Own]) -> str:
     """Digest of functions and their dependencies in visiting order; repetitions by number."""
     whole, numbers = hashlib.sha256(), dict[Any, int]()
-    for function in _reached(functions, seen):
+    for function in _iterate_dependencies(functions, seen):
         if function in numbers:
             whole.update(b"again %d." % numbers[function])
         else:
@@ -103,7 +103,7 @@ def _digest(functions: Iterable[Any], seen: dict[Any, _Own]) -> str:
     return whole.hexdigest()
 
 
-def _reached(functions: Iterable[Any], seen: dict[Any, _Own]) -> Iterator[Any]:
+def _iterate_dependencies(functions: Iterable[Any], seen: dict[Any, _Own]) -> Iterator[Any]:
     """Iterate over functions and their dependencies, repetitions included; fills `seen`."""
     left, met = list(functions), set[Any]()
     while left:

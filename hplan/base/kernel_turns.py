@@ -35,7 +35,7 @@ def wait_for_turn(folder: Path, name: str) -> bool:
     waited = False
     while time.monotonic() - begin < _PATIENCE_S:
         try:
-            fcntl.lockf(_opened(folder), fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _place(name))
+            fcntl.lockf(_open_lock_file(folder), fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _place(name))
             break
         except (BlockingIOError, PermissionError):
             waited = True
@@ -49,11 +49,11 @@ def end_turn(folder: Path, name: str) -> None:
     Raises:
         OSError: The folder is not writable.
     """
-    fcntl.lockf(_opened(folder), fcntl.LOCK_UN, 1, _place(name))
+    fcntl.lockf(_open_lock_file(folder), fcntl.LOCK_UN, 1, _place(name))
 
 
 @lru_cache
-def _opened(folder: Path) -> int:
+def _open_lock_file(folder: Path) -> int:
     """Open the lock file, for good: closing it would release all locks."""
     folder.mkdir(parents=True, exist_ok=True)
     # Each kernel locks one byte.

@@ -50,7 +50,7 @@ R = TypeVar("R")
 _SETTINGS = ("OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE", "BOUNDSCHECK", "DEBUGINFO_DEFAULT")
 
 #: Version of hplan's way to assemble machine code.
-_MANNER = 1
+_MANNER = 2
 
 #: Kernels with at most this number of instructions are inlined into their callers.
 _TINY = 60
@@ -90,7 +90,7 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
     return compiled
 
 
-def inlined(function: Callable[P, R]) -> Callable[P, R]:
+def inline(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a function into each kernel that calls it.
 
     For a few lines whose many arguments cost more than the computation.
@@ -134,6 +134,18 @@ def is_kept(compiled: Any) -> bool:
     return isinstance(cache, _DiskCache) and cache.holds_any()
 
 
+def _mangle_record(record: nb.types.Record) -> tuple[str, tuple[str]]:
+    """Name and arguments of a record type in symbols: a digest of its fields.
+
+    numba writes a number there that it gives to types as it meets them, which is another one in each process. Kernels
+    that are stored and call one another by symbol would call a kernel for another record.
+    """
+    return type(record).__name__, (hashlib.sha256(record.name.encode()).hexdigest()[:16],)
+
+
+nb.types.Record.mangling_args = property(_mangle_record)
+
+
 class _NamedByContent(Compiler):  # type: ignore[misc]
     """numba's compiler with reproducible symbols: a digest replaces the counter."""
 
@@ -154,7 +166,7 @@ class _Called(NamedTuple):
     types: tuple[Any, ...]
 
     @classmethod
-    def of(cls, compiled: Any, types: Any) -> _Called:
+    def build(cls, compiled: Any, types: Any) -> _Called:
         """Make the entry of a compiled function.
 
         Raises:
@@ -221,12 +233,14 @@ class _DiskCache(NullCache):  # type: ignore[misc]
     def holds_any(self) -> bool:
         """True if a file for this processor exists, for any types."""
         key = self._key(())
-        return key is not None and any(_named(folder, each.for_any_types) for folder, each in self._places(key))
+        return key is not None and any(
+            _list_cache_files(folder, each.for_any_types) for folder, each in self._places(key)
+        )
 
     def _places(self, key: _Key) -> list[tuple[Path, _Key]]:
         """Folders to read in order, each with its key."""
         own = [(folder, key) for folder in self.folders()]
-        machine = _shipped(_target(self._compiled.targetctx.codegen()))
+        machine = _shipped_digest(_target(self._compiled.targetctx.codegen()))
         return own if machine is None else [(_SHIPPED, key._replace(machine=machine)), *own]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
@@ -234,9 +248,9 @@ class _DiskCache(NullCache):  # type: ignore[misc]
         _name_memory_functions()
         _ASKED.append(self._compiled)
         key = self._key(sig)
-        found = None if key is None else self._kept(key, sig, target_context)
+        found = None if key is None else self._load_from_disk(key, sig, target_context)
         if found is None and key is not None and self._may_keep(wait_for_turn, key):
-            found = self._kept(key, sig, target_context)
+            found = self._load_from_disk(key, sig, target_context)
         if found is None:
             function = self._compiled.py_func
             for told in LISTENERS:
@@ -253,11 +267,11 @@ class _DiskCache(NullCache):  # type: ignore[misc]
                 return bool(action(folder, key.file_name))
         return False
 
-    def _kept(self, key: _Key, sig: Any, target_context: Any) -> Any:
+    def _load_from_disk(self, key: _Key, sig: Any, target_context: Any) -> Any:
         """Load the code from disk; None if no intact file exists."""
         for folder, each in self._places(key):
             try:
-                return self._loaded(_read(folder, each), sig, target_context)
+                return self._restore(_read(folder, each), sig, target_context)
             except (FileNotFoundError, NotADirectoryError):
                 continue
             except Exception as error:  # numba raises arbitrary exceptions for data it cannot read
@@ -281,11 +295,11 @@ class _DiskCache(NullCache):  # type: ignore[misc]
             data.library._shared_module = _NOTHING
         kept: bytes | None = None
         try:
-            kept = dumps((calls, by_name, _reduced(data)))
+            kept = dumps((calls, by_name, _reduce_compiled(data)))
         except RuntimeError as error:  # numba has the function, but not its machine code
             _warn_once(f"a compiled kernel cannot be cached: {error}", "unknown")
         if by_name:
-            _call_by_name(data, _Called.of(self._compiled, sig))
+            _call_by_name(data, _Called.build(self._compiled, sig))
         if kept is None:
             return
         # If a constant has changed since it was first read, the code may hold either value.
@@ -312,7 +326,7 @@ class _DiskCache(NullCache):  # type: ignore[misc]
         """Clear the digests: numba is to compile again."""
         forget()
 
-    def _loaded(self, kept: memoryview, sig: Any, target_context: Any) -> Any:
+    def _restore(self, kept: memoryview, sig: Any, target_context: Any) -> Any:
         """Restore a stored function together with its callees."""
         calls, by_name, reduced = pickle.loads(kept)
         libraries = self._libraries_of(calls)
@@ -321,7 +335,7 @@ class _DiskCache(NullCache):  # type: ignore[misc]
         loaded = CompileResult._rebuild(target_context, *reduced)
         loaded.library._linking_libraries += libraries  # callees live as long as their caller
         if by_name:
-            _call_by_name(loaded, _Called.of(self._compiled, sig))
+            _call_by_name(loaded, _Called.build(self._compiled, sig))
         return loaded
 
     def _libraries_of(self, calls: list[_Called]) -> list[Any]:
@@ -330,7 +344,7 @@ class _DiskCache(NullCache):  # type: ignore[misc]
         Raises:
             LookupError: A called kernel is not among the dependencies of the function.
         """
-        below = {_Called.of(each, ()): each for each in kernels_below(self._compiled)} if calls else {}
+        below = {_Called.build(each, ()): each for each in kernels_below(self._compiled)} if calls else {}
         libraries = []
         for called in calls:
             compiled = below[called._replace(types=())]
@@ -373,7 +387,7 @@ def _calls(data: Any) -> list[_Called]:
     return [_CALLED[each.name] for each in functions if each.is_declaration and each.name in _CALLED]
 
 
-def _reduced(data: Any) -> tuple[Any, ...]:
+def _reduce_compiled(data: Any) -> tuple[Any, ...]:
     """State of a compiled function as numba pickles it, without superfluous environments.
 
     Environments hold the constants that machine code reads. The environments of numba's own functions are mostly empty,
@@ -420,7 +434,7 @@ def portable_processor() -> dict[str, str]:
 
 
 @lru_cache
-def _shipped(target: tuple[Any, ...]) -> str | None:
+def _shipped_digest(target: tuple[Any, ...]) -> str | None:
     """Digest of the target of the shipped kernels; None if unusable here."""
     try:
         brought = (_SHIPPED / _MADE_FOR).read_text(encoding="utf-8").strip()
@@ -442,7 +456,7 @@ def _shipped(target: tuple[Any, ...]) -> str | None:
     return _machine((triple, processor, ""))
 
 
-def _named(folder: Path, beginning: str) -> list[str]:
+def _list_cache_files(folder: Path, beginning: str) -> list[str]:
     """Names of the cache files in a folder that start with `beginning`."""
     with suppress(OSError):
         names = [path.name for path in folder.iterdir() if path.suffix in (".nbc", ".nbi")]
@@ -481,7 +495,7 @@ def _write(path: Path, data: bytes) -> None:
 
 def _remove_others(folder: Path, key: _Key) -> None:
     """Remove the files of earlier versions of the function."""
-    for name in _named(folder, f"{key.function}-"):
+    for name in _list_cache_files(folder, f"{key.function}-"):
         if not name.startswith(f"{key.function}-{key.code[:16]}-"):
             with suppress(OSError):
                 (folder / name).unlink()

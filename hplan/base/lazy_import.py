@@ -39,7 +39,7 @@ class _Deferred(ModuleType):
 
 
 @contextmanager
-def deferred(*names: str) -> Iterator[None]:
+def defer_imports(*names: str) -> Iterator[None]:
     """Import modules inside the block lazily: `import name` defers to first use.
 
     Args:

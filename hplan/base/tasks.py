@@ -20,7 +20,7 @@ from concurrent.futures import (
 from multiprocessing import get_context
 from typing import Any, TypeAlias, TypeVar
 
-from hplan.base.arguments import whole
+from hplan.base.arguments import check_integer
 from hplan.base.interrupts import INTERRUPTS, children_not_interrupted
 from hplan.errors import OptionError, WorkersLostError
 
@@ -45,7 +45,7 @@ def pool_of(executor: Pool | None, workers: int | None) -> tuple[Pool, int]:
         OptionError: `executor` is neither an executor nor a function, or `workers` is not a positive integer.
     """
     if workers is not None:
-        whole("workers", workers, 1)
+        check_integer("workers", workers, 1)
     if executor is None:
         count = len(os.sched_getaffinity(0)) if workers is None else workers
         if count == 1:
@@ -81,14 +81,14 @@ def outcomes(task: Callable[[_T], _R], given: Sequence[_T], pool: Pool, at_once:
                 number, losses = waiting[0]
                 try:
                     with children_not_interrupted():
-                        future = executor.submit(_run, task, given[number], losses)
+                        future = executor.submit(_run_task, task, given[number], losses)
                 except BrokenExecutor:
                     is_broken = True
                 else:
                     running[future] = waiting.popleft()
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 number, losses = running.pop(future)
-                error = _fault(future)
+                error = _is_lost_worker(future)
                 if error is None:
                     yield number, future.result()
                 elif not _is_loss(error):
@@ -115,7 +115,7 @@ def outcomes(task: Callable[[_T], _R], given: Sequence[_T], pool: Pool, at_once:
         raise WorkersLostError(sorted(lost), len(given))
 
 
-def _run(task: Callable[[_T], _R], value: _T, _: int) -> _R:
+def _run_task(task: Callable[[_T], _R], value: _T, _: int) -> _R:
     """Run a task.
 
     The number of losses as an argument makes a retry a distinct call for executors that cache results.
@@ -123,7 +123,7 @@ def _run(task: Callable[[_T], _R], value: _T, _: int) -> _R:
     return task(value)
 
 
-def _fault(future: Future[Any]) -> BaseException | None:
+def _is_lost_worker(future: Future[Any]) -> BaseException | None:
     try:
         return future.exception()
     except CancelledError as error:

@@ -98,7 +98,7 @@ class _Loader(yaml.SafeLoader):
         merged: dict[Any, Any] = {}
         for key, value in node.value:
             if key.value == "<<" and key.style is None:
-                merged |= self._merged(key, value)
+                merged |= self._merge_mappings(key, value)
                 continue
             if key.tag != "tag:yaml.org,2002:str":
                 raise yaml.MarkedYAMLError(problem="a key must be text", problem_mark=key.start_mark)
@@ -108,7 +108,7 @@ class _Loader(yaml.SafeLoader):
             lines[key.value] = key.start_mark.line + 1
         return merged | {k.value: self.construct_object(v, deep=deep) for k, v in node.value if k.value in lines}
 
-    def _merged(self, key: yaml.Node, value: yaml.Node) -> dict[Any, Any]:
+    def _merge_mappings(self, key: yaml.Node, value: yaml.Node) -> dict[Any, Any]:
         """Values of the merge key `<<`, from a mapping or a list.
 
         In a list, earlier mappings take precedence.

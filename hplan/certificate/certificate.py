@@ -41,7 +41,7 @@ from typing import Literal, NamedTuple, TypeAlias, get_args
 import numpy as np
 
 from hplan.base import ties
-from hplan.base.arguments import between, by_name, instance, list_of, number, one_of, truth
+from hplan.base.arguments import by_name, check_between, instance, list_of, number, one_of, truth
 from hplan.base.arrays import FloatArray
 from hplan.base.units import FARTHEST_JOINT
 from hplan.certificate.clearance_curve import (
@@ -75,7 +75,7 @@ from hplan.scene.limits import LEAST_RISK
 from hplan.scene.model import Fruit, Scene, checked_scene
 from hplan.scene.obstacle_kind import Sigmas
 from hplan.trajectory.cubics import Interpolation
-from hplan.trajectory.trajectory import Trajectory, check_joints
+from hplan.trajectory.trajectory import Trajectory, check_trajectory_joints
 
 #: Maximum use of a limit that counts as keeping it.
 LIMIT_TOLERANCE = 1.001
@@ -180,7 +180,7 @@ class Certificate:
         return None if self.subject is None else self.subject.pushes
 
     @property
-    def reversed(self) -> Certificate:
+    def reversal(self) -> Certificate:
         """Certificate of the motion in reverse, without task and contact times.
 
         Distances and torques are the same in both directions.
@@ -190,7 +190,7 @@ class Certificate:
         """
         if self.nearest_s is not None:
             raise MovingObstacleError(None if self.nearest is None else self.nearest.obstacle)
-        subject = None if self.subject is None else self.subject.reversed
+        subject = None if self.subject is None else self.subject.reversal
         return replace(self, subject=subject, contacts=(), digests=None)
 
 
@@ -272,14 +272,14 @@ def certify(
     warn_of_far_obstacles(robot, scene)
     if risk is not None:
         sigmas = 0.0
-        between("risk", risk, LEAST_RISK, 1.0)
+        check_between("risk", risk, LEAST_RISK, 1.0)
         if checker is not None:
             raise OptionError("risk", risk, "None if the checker has other solids than the scene")
         if scene.moves:
             raise MovingObstacleError(scene.first_moving, "a risk bound takes scenes without moving bodies")
     one_of("goal_contact", goal_contact, get_args(GoalContact))
     number("begin_s", begin_s, "a finite number of seconds")
-    check_joints(trajectory, robot)
+    check_trajectory_joints(trajectory, robot)
     if any(robot.slides) and not trajectory.slides:
         joint = robot.joint_names[robot.slides.index(True)]
         missing = f"the trajectory does not say which of its joints are in metres, and {joint!r} is prismatic"
@@ -326,7 +326,7 @@ def certify(
         goal_contact=None if fruit is None else goal_contact,
         contacts=tuple(allowed),
         clear_until_s=None if violations else certificate.clear_until_s,
-        digests=Digests.of(robot, scene, trajectory),
+        digests=Digests.compute(robot, scene, trajectory),
     )
 
 
@@ -387,7 +387,7 @@ def stretches(checker: CoalScene, clock: FloatArray, contacts: Iterable[FruitCon
         among = checker
         for pieces, fruit in inside:
             if pieces.start <= first and last <= pieces.stop:
-                among = among.touching(fruit.name, fruit.hangs_from)
+                among = among.allow_touch(fruit.name, fruit.hangs_from)
         found.append((slice(first, last), among))
     return found
 
@@ -419,7 +419,7 @@ def certify_among(
     Raises:
         InputError: The trajectory's joints are not the robot's.
     """
-    check_joints(trajectory, robot)
+    check_trajectory_joints(trajectory, robot)
     bezier, duration = trajectory.segments
     use = limit_use(robot, trajectory, bezier, duration) if rates is None else rates.limit_use
     violations = list(limit_violations(use, velocity_jumps=velocity_jumps))
@@ -436,19 +436,19 @@ def certify_among(
         own = deviations if len(deviations) == 1 else deviations[part]
         times = clock[part.start : part.stop + 1]
         proof = prove_clearance(bezier[part], checker, own, clearance, times)
-        rules.append(pair_rules(checker.covering(float(own.max()), clearance), proof, clearance))
+        rules.append(pair_rules(checker.with_margins(float(own.max()), clearance), proof, clearance))
         proved.append(ProvedStretch(part, checker, own, proof, times))
         seen_s.append(None if checker.moving is None else _time_of(proof, times))
         violations += _not_shown(robot, proof, trajectory, part.start, wanted, seen_s[-1])
     proofs = [stretch.proof for stretch in proved]
     last = among[-1][1]
-    missing = [proof.clearance_m for proof in proofs if not proof.shown]
+    missing = [proof.clearance_m for proof in proofs if not proof.is_certified]
     least = min(missing or (proof.clearance_m for proof in proofs))
     in_place = clearance_in_place(last, (float(clock[0]), float(clock[-1])), clearance, least)
     return Certificate(
         verified=not violations,
         min_clearance_m=min(least, in_place.distance_m),
-        nearest=_nearest(proof.nearest for proof in proofs),
+        nearest=_nearest_of(proof.nearest for proof in proofs),
         limit_use=use,
         checks=sum(proof.checks for proof in proofs),
         violations=tuple(violations),
@@ -522,7 +522,7 @@ def all_of(parts: Sequence[Certificate]) -> Certificate:
     return Certificate(
         verified=all(part.verified for part in parts),
         min_clearance_m=min(part.min_clearance_m for part in parts),
-        nearest=_nearest(part.nearest for part in parts),
+        nearest=_nearest_of(part.nearest for part in parts),
         limit_use=LimitUse(
             **{name: max(getattr(part.limit_use, name) for part in parts) for name in vars(parts[0].limit_use)}
         ),
@@ -543,7 +543,7 @@ def _not_shown(
 
     They name the first unverified segment, and the nearest pair with its distance and time.
     """
-    if proof.shown:
+    if proof.is_certified:
         return
     piece = first + int(proof.end)
     begin = trajectory.time[min(piece, trajectory.samples - 1)]
@@ -555,7 +555,7 @@ def _not_shown(
         yield f"clearance is not proved after {at:.6g} s, where the {proof.checks:,} distance queries are used up"
     if proof.nearest is not None:
         near, when = proof.nearest, "" if seen_s is None else f" at {seen_s:.6g} s"
-        other = robot.link_in_words(near.obstacle) if isinstance(near, OwnContact) else near.other
+        other = robot.link_in_words(near.obstacle) if isinstance(near, OwnContact) else near.other_name
         yield (
             f"{robot.link_in_words(near.link)} comes to {1e3 * near.distance_m:.3g} mm of {other}{when}; "
             f"required: {wanted}"
@@ -564,7 +564,7 @@ def _not_shown(
 
 def _nearest_s(contacts: Sequence[Contact | None], seen_s: Sequence[float | None]) -> float | None:
     """Time of the nearest contact [s]; None if unknown."""
-    nearest = _nearest(contacts)
+    nearest = _nearest_of(contacts)
     return next((at for contact, at in zip(contacts, seen_s, strict=True) if contact is nearest), None)
 
 
@@ -573,7 +573,7 @@ def _time_of(proof: Proof, clock: FloatArray) -> float:
     return float(np.interp(proof.nearest_at, np.arange(len(clock)), clock))
 
 
-def _nearest(contacts: Iterable[Contact | None]) -> Contact | None:
+def _nearest_of(contacts: Iterable[Contact | None]) -> Contact | None:
     """Contact with the minimum distance; None without contacts."""
     found = [contact for contact in contacts if contact is not None]
     return found[ties.argmin([contact.distance_m for contact in found])] if found else None

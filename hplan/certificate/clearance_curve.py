@@ -27,10 +27,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hplan.base import ties
-from hplan.base.arguments import whole
+from hplan.base.arguments import check_integer
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen
 from hplan.certificate.clearance_proof import Advancement, Proof, place_after, point_at
-from hplan.certificate.pushes import Push, joined, pushes_along
+from hplan.certificate.pushes import Push, merge_contacts, pushes_along
 from hplan.collision.coal_scene import CoalScene
 from hplan.robot.model import Robot
 from hplan.trajectory.trajectory import Trajectory
@@ -59,14 +59,14 @@ class ClearanceCurve(Record):
     pairs: tuple[tuple[str, str], ...]
 
     @property
-    def shown(self) -> ClearanceCurve:
+    def report_curve(self) -> ClearanceCurve:
         """The curve thinned for display in reports; nowhere higher."""
         # Minimum number of displayed stations, number for each second, and maximum number.
         shown_stations, shown_per_s, most_shown = 300, 40.0, 1200
         wanted = max(shown_stations, round(shown_per_s * float(self.time[-1])))
-        return self.thinned(min(wanted, most_shown))
+        return self.thin(min(wanted, most_shown))
 
-    def thinned(self, count: int) -> ClearanceCurve:
+    def thin(self, count: int) -> ClearanceCurve:
         """The curve at `count` evenly spaced times, if it has more stations.
 
         It is nowhere higher than this curve.
@@ -74,7 +74,7 @@ class ClearanceCurve(Record):
         Raises:
             OptionError: `count` is not an integer, or is below 2.
         """
-        count = whole("count", count, 2)
+        count = check_integer("count", count, 2)
         if len(self.time) <= count:
             return self
         clock = np.linspace(self.time[0], self.time[-1], count)
@@ -153,9 +153,9 @@ class ProvedMotion(Record):
             part, time = stretch.part, self.trajectory.time[stretch.part.start : stretch.part.stop + 1]
             found += pushes_along(
                 bezier[part], time, stretch.checker, stretch.deviations, self.clearance, stretch.clock,
-                proved=stretch.proof.shown,
+                proved=stretch.proof.is_certified,
             )  # fmt: skip
-        return joined(found)
+        return merge_contacts(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +169,7 @@ class Subject(Record):
     motions: tuple[tuple[ProvedMotion, bool], ...]
 
     @property
-    def reversed(self) -> Subject:
+    def reversal(self) -> Subject:
         """The sequence in reverse."""
         return Subject(tuple((motion, not backwards) for motion, backwards in self.motions[::-1]))
 
@@ -193,7 +193,7 @@ class Subject(Record):
                 span = (duration - push.end_s, duration - push.begin_s) if backwards else (push.begin_s, push.end_s)
                 found.append(replace(push, begin_s=begin + span[0], end_s=begin + span[1]))
             begin += duration
-        return joined(found)
+        return merge_contacts(found)
 
 
 def joined_subjects(parts: Iterable[Subject | None]) -> Subject | None:
@@ -238,15 +238,15 @@ def _one_after_the_other(curves: Sequence[ClearanceCurve]) -> ClearanceCurve:
 def _curve_over_places(bezier: FloatArray, stretch: ProvedStretch, clearance: float) -> ClearanceCurve:
     """Curve of one range, with positions in samples instead of times."""
     deviations, proof = stretch.deviations, stretch.proof
-    checker = stretch.checker.covering(float(deviations.max()), clearance)
+    checker = stretch.checker.with_margins(float(deviations.max()), clearance)
     if not checker.pairs:
         nothing = np.full(2, np.inf)
         return ClearanceCurve(np.array([0.0, float(len(bezier))]), nothing, nothing, np.full(2, -1), ())
     search = Advancement(bezier, checker, deviations, clearance, stretch.clock)
-    looks = list(_looks(search, bezier, checker, checker.counted(clearance)))
+    looks = list(_looks(search, bezier, checker, checker.deflection_offsets(clearance)))
     places, nearest = np.array([look.place for look in looks]), np.array([look.nearest for look in looks])
     bounds = _lower_of_both(np.array([look.bound_m for look in looks[1:]]))
-    if proof.shown:
+    if proof.is_certified:
         bounds = np.maximum(bounds, proof.clearance_m)
     seen = np.unique(nearest[nearest >= 0])
     numbers = np.where(nearest < 0, -1, np.searchsorted(seen, nearest))
@@ -282,7 +282,7 @@ class _Stations:
         # A minimum spacing limits the stations of a range to about 20,000.
         self._least = max(_STATION_M[0], float(self._travel[bounded]) / 20_000)
 
-    def after(self, place: float, nearest: float) -> float:
+    def next_station(self, place: float, nearest: float) -> float:
         """Next station after `place`, with the nearest pair at distance `nearest` [m]."""
         step = max(min(_STATION_FRACTION * nearest, _STATION_M[1]), self._least)
         following: float = place_after(self._travel, place, step)
@@ -307,10 +307,10 @@ def _looks(search: Advancement, bezier: FloatArray, checker: CoalScene, counted:
     while True:
         search.place(point_at(bezier, place), place)
         nearest = float(checker.distances_of(np.array([pair]))[0] + counted[pair])
-        now, sways = _at(travel, place), _at(sway, place)
+        now, sways = _interpolate(travel, place), _interpolate(sway, place)
         forward = lower - (now - travelled)[mover_of]
         # Pairs that may be nearer than this one before the next station; they may shorten the step to it.
-        ahead = _at(travel, stations.after(place, nearest))
+        ahead = _interpolate(travel, stations.next_station(place, nearest))
         asked = np.flatnonzero(forward - (ahead - now)[mover_of] < nearest)
         if len(asked):
             distances = checker.distances_of(asked) + counted[asked]
@@ -327,10 +327,10 @@ def _looks(search: Advancement, bezier: FloatArray, checker: CoalScene, counted:
         yield _Look(place, pair if nearest < np.inf else -1, nearest, bound)
         if place >= end:
             return
-        lower, travelled, swayed, place = known, now, sways, stations.after(place, nearest)
+        lower, travelled, swayed, place = known, now, sways, stations.next_station(place, nearest)
 
 
-def _at(values: FloatArray, place: float) -> FloatArray:
+def _interpolate(values: FloatArray, place: float) -> FloatArray:
     """Linear interpolation of (bodies, segments + 1) sample values, (bodies,)."""
     row = min(int(place), values.shape[1] - 2)
     result: FloatArray = values[:, row] + (place - row) * (values[:, row + 1] - values[:, row])

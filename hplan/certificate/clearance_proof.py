@@ -49,7 +49,7 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.deadline import check_deadline
 from hplan.base.kernels import kernel
 from hplan.certificate.motion_bound import at_rows, motion_of_movers, with_obstacles
-from hplan.collision.box_bounds import apart, joints_as_pinocchio
+from hplan.collision.box_bounds import box_separation, joints_as_pinocchio
 from hplan.collision.coal_scene import CoalScene, Contact
 from hplan.collision.placed_bodies import place_joints
 from hplan.trajectory.cubics import cubic_at
@@ -93,7 +93,7 @@ class Proof:
             number of queries, or the motion is too fast or too long for its travel to be bounded.
         clearance_m: If proved, the lower bound of every distance along the motion, tracking errors included; otherwise
             the minimum distance found, minus the displacement by tracking errors [m]. Compliant obstacles count as in
-            `CoalScene.counted`.
+            `CoalScene.deflection_offsets`.
         nearest: The nearest pair found, and its distance; None without pairs.
         checks: Number of configurations with distance queries.
         end: End of the certified part, or start of the part with unbounded travel, counted in segments.
@@ -111,7 +111,7 @@ class Proof:
     own_bounds: tuple[tuple[int, float], ...] = ()
 
     @property
-    def shown(self) -> bool:
+    def is_certified(self) -> bool:
         """True if the clearance is certified over the whole motion."""
         return self.outcome == "shown"
 
@@ -133,20 +133,20 @@ def prove_clearance(
         clock: (pieces + 1,) times of the samples on the clock of the tracks [s]; required if obstacles move.
     """
     # Pairs that touch only beyond the joint limits, where a deviation may lead, are included.
-    checker = checker.covering(float(deviations.max()), needed)
+    checker = checker.with_margins(float(deviations.max()), needed)
     if not checker.pairs:
         return Proof("shown", math.inf, None, 0, len(bezier))
     search = Advancement(bezier, checker, deviations, needed, clock)
     if search.bounded < len(bezier):
         return search.worst("travel")
     budget = CHECKS + CHECKS_PER_PIECE * len(bezier)
-    look = search.first()
+    look = search.first_query()
     while look[1] < math.inf:
         if search.checks % _CHECKS_BETWEEN_LOOKS == 0 or not len(look[0]):
             check_deadline()
         if search.looks >= budget:
             return search.worst("checks")
-        following = search.after(look)
+        following = search.next_query(look)
         if following is None:
             return search.worst("too near")
         look = following
@@ -223,11 +223,11 @@ class Advancement:
             self.bounded = int((travel <= longest_travel).all(axis=0).sum())
             # Only for the search of the samples: after such a segment every pair may be anywhere.
             np.cumsum(np.where(moved <= longest_travel, moved, longest_travel), axis=1, out=travel)
-        none, asked = np.zeros(len(checker.pairs)), checker.kept(needed)
+        none, asked = np.zeros(len(checker.pairs)), checker.required_distance(needed)
         kept = asked + checker.distance_errors
         may_lack = none + (needed - asked)
         before = none - np.finfo(np.float64).tiny
-        self._counted = checker.counted(needed)
+        self._counted = checker.deflection_offsets(needed)
         by_itself = may_lack > self._counted
         bound = np.where(by_itself, np.cumsum(by_itself), 0.0)
         self.shown: FloatArray = np.full(1 + int(by_itself.sum()), math.inf)
@@ -239,11 +239,11 @@ class Advancement:
 
     def place(self, q: FloatArray, at: float) -> None:
         """Place the arm at the configuration of a place."""
-        self._checker.place(q, *self.when(at))
+        self._checker.place(q, *self.time_of(at))
         self.checks += 1
         self.looks += 1
 
-    def when(self, at: float) -> tuple[float, ...]:
+    def time_of(self, at: float) -> tuple[float, ...]:
         """Time of a place; empty if only the arm moves."""
         return () if self._clock is None else (_linear(self._clock, at),)
 
@@ -254,7 +254,7 @@ class Advancement:
         room = np.zeros(len(self.mover_of), dtype=np.int64), np.zeros(bezier.shape[2])
         return _Search(bezier, self.mover_of, self.movers, self.pairs, boxes, sides, joints, *room, self.shown)
 
-    def first(self) -> Look:
+    def first_query(self) -> Look:
         """The first query: the nearest pairs at the start, or all.
 
         The other pairs are due there too.
@@ -265,7 +265,7 @@ class Advancement:
             pairs = np.sort(np.argpartition(nearness, FIRST)[:FIRST])
         return pairs, 0.0, q
 
-    def after(self, look: Look) -> Look | None:
+    def next_query(self, look: Look) -> Look | None:
         """Run a query and find the next.
 
         None if a pair is too near for the proof to continue.
@@ -274,7 +274,7 @@ class Advancement:
         if len(pairs):
             self.place(q, at)
             distances = self._checker.distances_of(pairs)
-        distance, pair, is_far, looks, count, there = _look(pairs, distances, at, self._ahead, self._search)
+        distance, pair, is_far, looks, count, there = _record_query(pairs, distances, at, self._ahead, self._search)
         self.looks += looks
         if distance < self.nearest[0]:
             self.nearest = distance, pair, at
@@ -368,7 +368,7 @@ def point_at(bezier: FloatArray, at: float) -> FloatArray:
 
 
 @kernel
-def _look(
+def _record_query(
     pairs: IntArray, distances: FloatArray, at: float, ahead: float, search: _Search
 ) -> tuple[float, int, bool, int, int, float]:
     """Record a query's results and find the next one for coal.
@@ -385,7 +385,7 @@ def _look(
         nearest, which = distances[least] + search.pairs[5, pairs[least]], pairs[least]
     frames, work = np.empty((bezier.shape[2] + 1, 12)), np.empty((2, 12))
     while is_far and count == 0 and looks < _BOUNDED_LOOKS:
-        count, at = _next(search)
+        count, at = _next_query(search)
         if at == math.inf:
             break
         q = point_at(bezier, at)
@@ -398,7 +398,7 @@ def _look(
 
 
 @kernel
-def _next(search: _Search) -> tuple[int, float]:
+def _next_query(search: _Search) -> tuple[int, float]:
     """Number of pairs in the next query, and its place, or infinity.
 
     The pairs are the one due first, and others that can be queried together with it.
@@ -478,7 +478,7 @@ def _put_off_far(count: int, frames: FloatArray, work: FloatArray, place: tuple[
     left = 0
     for i in range(count):
         pair = search.asked[i]
-        bound = apart(frames, search.boxes, search.sides[pair], work) - taken_off[pair]
+        bound = box_separation(frames, search.boxes, search.sides[pair], work) - taken_off[pair]
         spare_clearance = bound - (_linear(sway[mover_of[pair]], at) + kept[pair])
         shown = search.shown[int(all_pairs[7, pair])]
         if spare_clearance >= FAR and 0.5 * spare_clearance >= shown:

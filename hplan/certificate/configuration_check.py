@@ -44,7 +44,7 @@ class ConfigurationCheck(Record):
     limit_faults: tuple[str | None, ...]
 
     @property
-    def nearest(self) -> Contact | None:
+    def nearest_contact(self) -> Contact | None:
         """The nearest pair over all configurations; None without any pair."""
         found = [contact for contact in self.contacts if contact is not None]
         return found[ties.argmin([contact.distance_m for contact in found])] if found else None
@@ -98,11 +98,11 @@ def check(
 
 def _checker(robot: Robot, scene: Scene, sigmas: float) -> CoalScene:
     """The collision checker of a scene; the robot caches the last one."""
-    kept: deque[tuple[Scene, float, CoalScene]] = robot.cached("last checker", lambda: deque(maxlen=1))
+    kept: deque[tuple[Scene, float, CoalScene]] = robot.cache("last checker", lambda: deque(maxlen=1))
     for known, growth, checker in tuple(kept):
         if known is scene and growth == sigmas:
             return checker
-    checker = checker_in_time(robot, scene, sigmas).covering(0.0, scene.clearance)
+    checker = checker_in_time(robot, scene, sigmas).with_margins(0.0, scene.clearance)
     kept.append((scene, sigmas, checker))
     return checker
 
@@ -114,11 +114,11 @@ def _looked_at(
     if not checker.pairs:
         return True, False, None
 
-    def nearest(clearance: float) -> tuple[bool, int, float]:
-        kept = np.broadcast_to(np.asarray(checker.kept(clearance)), (len(checker.pairs),))
+    def query_nearest(clearance: float) -> tuple[bool, int, float]:
+        kept = np.broadcast_to(np.asarray(checker.required_distance(clearance)), (len(checker.pairs),))
         pair, distance = checker.nearest_pair(q, kept, time_s)
         return bool(distance > kept[pair]), pair, distance
 
-    valid, pair, distance = nearest(clearance)
-    touches = not valid and (clearance == 0.0 or not nearest(0.0)[0])
+    valid, pair, distance = query_nearest(clearance)
+    touches = not valid and (clearance == 0.0 or not query_nearest(0.0)[0])
     return valid, touches, checker.contact(*checker.pairs[pair], distance)

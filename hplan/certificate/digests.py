@@ -48,7 +48,7 @@ class Digests:
     trajectory: str
 
     @classmethod
-    def of(cls, robot: Robot, scene: Scene, trajectory: Trajectory) -> Digests:
+    def compute(cls, robot: Robot, scene: Scene, trajectory: Trajectory) -> Digests:
         """Compute the digests of a robot, a scene and a trajectory."""
         return cls(robot_digest(robot), scene_digest(scene), trajectory_digest(trajectory))
 
@@ -71,7 +71,7 @@ def scene_digest(scene: Scene) -> str:
     found.add_text(scene.model_dump_json(exclude={"obstacles": {"__all__": {"file"}}} if read else None))
     for obstacle in read:
         found.add_text(obstacle.data_digest)
-    for name, key, value in _moving(scene):
+    for name, key, value in _iterate_tracks(scene):
         found.add_text(name, key, value.model_dump_json())
     for item in (*scene.obstacles, *scene.fruits):
         if item.yields:
@@ -97,7 +97,7 @@ def scene_digest(scene: Scene) -> str:
     return found.word
 
 
-def _moving(scene: Scene) -> Iterator[tuple[str, str, Track | Sway]]:
+def _iterate_tracks(scene: Scene) -> Iterator[tuple[str, str, Track | Sway]]:
     """Name, key and value of tracks and sways.
 
     A JSON dump omits these.
@@ -117,7 +117,7 @@ def robot_digest(robot: Robot) -> str:
     found.add_text(robot.name, robot.tool_frame, *robot.joint_names, *itertools.chain(*robot.may_touch))
     for frame in model.frames:  # a goal may name any of them
         found.add_text(frame.name, str(frame.parentJoint))
-        for place in _place(frame.placement):
+        for place in _placement_numbers(frame.placement):
             found.add_rounded(place)
     for values in (
         *(robot.lower, robot.upper),
@@ -129,17 +129,22 @@ def robot_digest(robot: Robot) -> str:
         inertia, axis = model.inertias[number], joint.createData()
         joint.calc(axis, np.zeros(joint.nq))
         found.add_text(joint.shortname(), str(model.parents[number]))
-        for values in (np.array(axis.S), *_place(model.jointPlacements[number]), inertia.lever, inertia.inertia):
+        for values in (
+            np.array(axis.S),
+            *_placement_numbers(model.jointPlacements[number]),
+            inertia.lever,
+            inertia.inertia,
+        ):
             found.add_rounded(values)
         found.add_rounded(inertia.mass)
     for shape in robot.collision_model.geometryObjects:
         found.add_text(shape.name, str(shape.parentJoint))
-        for values in (*_place(shape.placement), *_sizes(shape)):
+        for values in (*_placement_numbers(shape.placement), *_sizes(shape)):
             found.add_rounded(values)
     return found.word
 
 
-def _place(placement: pin.SE3) -> tuple[FloatArray, FloatArray]:
+def _placement_numbers(placement: pin.SE3) -> tuple[FloatArray, FloatArray]:
     return placement.rotation, placement.translation
 
 

@@ -26,8 +26,8 @@ radius. The smaller of the two bounds is used.
 
 For two bodies of the robot the joints that carry both do not count, and the travels of both by the other joints add up:
 these are the last joints of each, and both bounds hold for them alone, relative to the body that carries both. Pairs of
-bodies of the same two links at similar distances share one moving body (`ArmParts.alike`), which travels as far as the
-farthest of them. Joint deviations displace a body by no more than :math:`\sum_j R_{bj} \delta_j`. (For prismatic
+bodies of the same two links at similar distances share one moving body (`ArmParts.motion_groups`), which travels as far
+as the farthest of them. Joint deviations displace a body by no more than :math:`\sum_j R_{bj} \delta_j`. (For prismatic
 joints, a deviation in rad counts as the same number in metres.)
 """
 
@@ -45,7 +45,7 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.collision.flat_bodies import joint_table
 from hplan.collision.placed_bodies import place_joints
 from hplan.collision.reach import ON_AXIS
-from hplan.geometry.vectors import cross, dot, moved_on, placed_point, sub, turned, vector_of
+from hplan.geometry.vectors import cross, dot, moved_on, placed_point, rotate, sub, vector_of
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.limits import FARTHEST_M
@@ -162,17 +162,17 @@ def motion_of_movers(
         deviations: (k, dof) maximum joint deviations [rad, m].
 
     Returns:
-        (pairs,) index of each pair's moving body, as in `ArmParts.alike`; (movers, pieces) travel bound of each in each
-        segment [m]; (movers, k) displacement bound of its pairs by deviations [m].
+        (pairs,) index of each pair's moving body, as in `ArmParts.motion_groups`; (movers, pieces) travel bound of each
+        in each segment [m]; (movers, k) displacement bound of its pairs by deviations [m].
     """
     parts, robot = checker.parts, checker.robot
     of_bodies, reaches = _reaches(parts, deviations)
-    starts, motion = _together(np.ascontiguousarray(bezier), _TOGETHER, _TURN)
-    travels = _travels(motion, of_bodies, parts.rows, joint_table(robot), *parts.travellers, parts.alike)
+    starts, motion = _group_segments(np.ascontiguousarray(bezier), _TOGETHER, _TURN)
+    travels = _travels(motion, of_bodies, parts.rows, joint_table(robot), *parts.travellers, parts.motion_groups)
     nearer = np.zeros((len(travels), len(deviations)))
-    np.maximum.at(nearer, parts.alike, reaches @ deviations.T)
+    np.maximum.at(nearer, parts.motion_groups, reaches @ deviations.T)
     pieces = np.diff(starts, append=len(bezier))
-    return parts.alike[_mover_of(checker)], np.repeat(travels / pieces, pieces, axis=1), nearer
+    return parts.motion_groups[_mover_of(checker)], np.repeat(travels / pieces, pieces, axis=1), nearer
 
 
 def _reaches(parts: ArmParts, deviations: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -185,7 +185,7 @@ def _reaches(parts: ArmParts, deviations: FloatArray) -> tuple[FloatArray, Float
 
 
 @kernel
-def _together(bezier: FloatArray, most: int, turn: float) -> tuple[IntArray, FloatArray]:
+def _group_segments(bezier: FloatArray, most: int, turn: float) -> tuple[IntArray, FloatArray]:
     """Group consecutive segments that share one bound.
 
     Args:
@@ -243,13 +243,13 @@ def _travels(
     """(movers, pieces) travel bound of each moving body within each segment [m].
 
     Args:
-        motion: Joint motion, from `_together`.
+        motion: Joint motion, from `_group_segments`.
         reach: (bodies, dof) motion-bound coefficients R.
         bodies: Bodies, as in `ArmParts.rows`.
         joints: Joints from `joint_table`.
         slots: First array of `ArmParts.travellers`.
         both: Second array of `ArmParts.travellers`.
-        alike: Moving body of each traveller, as in `ArmParts.alike`.
+        alike: Moving body of each traveller, as in `ArmParts.motion_groups`.
     """
     _, pieces, dof = motion.shape
     # Taken out one by one they are known to be contiguous; rows of an unpacked array are not.
@@ -264,7 +264,7 @@ def _travels(
             slides[j] = joint.slides
             if slides[j]:
                 f, axis = frames[joint.parent], vector_of(joint.shift)
-            axes[j] = turned(f, axis)
+            axes[j] = rotate(f, axis)
         for b in range(len(reach)):
             j, outer, total, bent, turn, speed = int(bodies[b, 0]), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
             at = placed_point(frames[j], bodies[b], 1)

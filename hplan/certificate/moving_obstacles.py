@@ -72,7 +72,7 @@ def _too_deep(
     # the limit counts as too deep, so an obstacle that travels 100 m along the base may need more queries.
     most_looks = 100_000
     for _ in range(most_looks):
-        rotation, shift = movement.at(np.array([at]))
+        rotation, shift = movement.displacement_at(np.array([at]))
         # In the frame of the obstacle as the scene lists it.
         spare = distance(body, pin.SE3(rotation[0], shift[0]).inverse() * place) + BASE_DEPTH
         if not spare > SMALLEST_STEP:
@@ -106,6 +106,6 @@ def clear_until(q: FloatArray, checker: CoalScene, deviations: FloatArray, neede
     clock = np.concatenate([[from_s], breaks[breaks > from_s]])
     still = np.tile(q, (len(clock) - 1, 4, 1))
     proof = prove_clearance(still, checker, deviations, needed, clock)
-    if proof.shown:
+    if proof.is_certified:
         return math.inf
     return float(np.interp(proof.end, np.arange(len(clock)), clock))

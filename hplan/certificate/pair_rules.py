@@ -41,7 +41,7 @@ class PairRule:
     required_m: float | None = None
     clearance_m: float | None = None
 
-    def nearer(self, distance: float) -> PairRule:
+    def lower_by(self, distance: float) -> PairRule:
         """The rule with its bound lowered by a distance [m]."""
         return self if self.clearance_m is None else replace(self, clearance_m=self.clearance_m - distance)
 

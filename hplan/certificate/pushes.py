@@ -61,12 +61,12 @@ def pushes_along(
     Yields:
         A contact for each segment and pair that may touch in it.
     """
-    pairs = checker.pushed
+    pairs = checker.compliant_pairs
     if not len(pairs):
         return
     search, rows = Advancement(bezier, checker, deviations, clearance, clock), len(bezier)
     (sway, travel), mover_of = search.movers, search.mover_of.tolist()
-    allowed = -np.broadcast_to(checker.kept(clearance), len(checker.pairs))
+    allowed = -np.broadcast_to(checker.required_distance(clearance), len(checker.pairs))
     most = allowed if proved else np.full(len(checker.pairs), math.inf)
     before = np.full(len(checker.pairs), math.inf)
     due: dict[int, list[int]] = {0: pairs.tolist()}
@@ -92,7 +92,7 @@ def pushes_along(
             due.setdefault(following, []).append(pair)
 
 
-def joined(found: Iterable[Push]) -> tuple[Push, ...]:
+def merge_contacts(found: Iterable[Push]) -> tuple[Push, ...]:
     """Merge contacts of a link and obstacle without a gap between.
 
     The result is sorted by start time.

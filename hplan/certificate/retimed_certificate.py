@@ -81,7 +81,7 @@ def certified_retiming(
         anew: Whether to prove the clearance anew, even if the clearance of the path suffices.
     """
     whole, row = retimed.trajectory, retimed.row
-    nearer = _nearer(robot, retimed.off_path)
+    nearer = _clearance_loss(robot, retimed.off_path)
     left = running.min_clearance_m - nearer
     # If obstacles move, the proof depends on the timing.
     known = running.verified and not scene.moves
@@ -95,8 +95,8 @@ def certified_retiming(
     certificate = replace(
         with_violations(certificate, rest_violations(robot, whole, {"ends": -1})),
         goal_contact=running.goal_contact,
-        contacts=later(retimed, running.contacts),
-        digests=Digests.of(robot, scene, whole),
+        contacts=map_to_retimed(retimed, running.contacts),
+        digests=Digests.compute(robot, scene, whole),
     )
     return CertifiedMotion(whole, certificate, float(whole.time[row]), retimed.off_path_m, robot, scene)
 
@@ -121,7 +121,7 @@ def certified_from(
         tracking: Model of the covered joint deviations.
     """
     scene, checker = among
-    motion, begin_s = retimed.trajectory.since(row), float(retimed.trajectory.time[row])
+    motion, begin_s = retimed.trajectory.cut_before(row), float(retimed.trajectory.time[row])
     found = certify_among(
         robot,
         motion,
@@ -140,21 +140,21 @@ def _by_path(robot: Robot, running: Certificate, motion: Trajectory, left: float
     use = limit_use(robot, motion, *motion.segments)
     violations = tuple(limit_violations(use))
     nearer = running.min_clearance_m - left
-    rules = tuple(rule.nearer(nearer) for rule in running.pair_rules)
+    rules = tuple(rule.lower_by(nearer) for rule in running.pair_rules)
     return Certificate(
         not violations, left, running.nearest, use, 0, violations,
         pair_rules=rules, uncovered_links=robot.uncovered_links,
     )  # fmt: skip
 
 
-def _nearer(robot: Robot, off_path: FloatArray) -> float:
+def _clearance_loss(robot: Robot, off_path: FloatArray) -> float:
     """Upper bound on the clearance lost by joint errors (dof,) [m]."""
     if not off_path.any():
         return 0.0
     return largest_pair_sway(robot, off_path)
 
 
-def later(retimed: Retimed, contacts: Sequence[FruitContact]) -> tuple[FruitContact, ...]:
+def map_to_retimed(retimed: Retimed, contacts: Sequence[FruitContact]) -> tuple[FruitContact, ...]:
     """Contact windows of the other motion, mapped to the retimed motion's clock.
 
     Windows that the retimed motion does not reach are dropped.

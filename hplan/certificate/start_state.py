@@ -17,7 +17,7 @@ from hplan.scene.model import Scene
 from hplan.trajectory.trajectory import Trajectory
 
 #: A state may exceed a limit by this factor, as a motion may.
-_KEPT = 1.001
+_LIMIT_FACTOR = 1.001
 
 
 def start_state(robot: Robot, scene: Scene) -> BoundaryState | None:
@@ -41,7 +41,7 @@ def start_state(robot: Robot, scene: Scene) -> BoundaryState | None:
         values = np.array(start.rates.get(key, (0.0,) * robot.dof))
         if len(values) != robot.dof:
             raise InputError(f"start: expected {robot.dof} values of {key}, got {len(values)}", expected=robot.dof)
-        beyond = np.flatnonzero((np.abs(values) > _KEPT * limit) | (locked & (values != 0.0)))
+        beyond = np.flatnonzero((np.abs(values) > _LIMIT_FACTOR * limit) | (locked & (values != 0.0)))
         if len(beyond):
             joint = int(beyond[0])
             raise StartStateError(

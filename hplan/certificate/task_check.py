@@ -13,10 +13,10 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 
 #: Tolerance of joint values and of approach angles [rad; m for prismatic joints].
-SAME = 1e-5
+TASK_TOLERANCE = 1e-5
 
 #: Tolerance of the rotation between the goal frame and the goal pose [rad].
-_TURNED = 1e-3
+_ROTATION_TOLERANCE = 1e-3
 
 
 def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[str]:
@@ -37,20 +37,20 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[
     """
     rows = np.vstack([bezier[:, 0], bezier[-1:, -1]])
     start = robot.check_configuration(robot.joints_of(scene.start, "start"), "start")
-    yield from _apart(robot, "begins", rows[0], start, "start")
+    yield from _describe_joint_difference(robot, "begins", rows[0], start, "start")
     locked = np.flatnonzero(robot.locked_mask(scene.locked_joints))
     for joint in locked.tolist():
         moved = np.abs(bezier[..., joint] - start[joint]).max()
-        if not moved <= SAME:
+        if not moved <= TASK_TOLERANCE:
             yield f"joint {robot.joint_names[joint]!r} is locked, but moves by {moved:.4g} rad"
     goal = robot.joints_of(scene.goal, "goal")
     if goal is not None:
         asked = robot.check_configuration(robot.turned_near(goal, rows[-1]), "goal")
-        yield from _apart(robot, "ends", rows[-1], asked, "goal")
+        yield from _describe_joint_difference(robot, "ends", rows[-1], asked, "goal")
         return
     pose = scene.goal.pose
     if pose is not None:
-        yield from _beside(robot, pose, scene.goal.frame, rows[-1])
+        yield from _describe_pose_difference(robot, pose, scene.goal.frame, rows[-1])
         return
     fruit = scene.goal_fruit
     if fruit is None:
@@ -66,21 +66,21 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[
         yield from _approach(robot, scene, rows[row])
 
 
-def _apart(robot: Robot, what: str, q: FloatArray, asked: FloatArray, which: str) -> Iterator[str]:
+def _describe_joint_difference(robot: Robot, what: str, q: FloatArray, asked: FloatArray, which: str) -> Iterator[str]:
     """Message about a motion that starts or ends at other joint values."""
     off = np.abs(q - asked)
     joint = int(off.argmax())
-    if not off[joint] <= SAME:
+    if not off[joint] <= TASK_TOLERANCE:
         yield f"the motion {what} with joint {robot.joint_names[joint]!r} {off[joint]:.4g} rad from the scene's {which}"
 
 
-def _beside(robot: Robot, pose: FloatArray, frame: str | None, q: FloatArray) -> Iterator[str]:
+def _describe_pose_difference(robot: Robot, pose: FloatArray, frame: str | None, q: FloatArray) -> Iterator[str]:
     """Message about a frame that is not at the goal pose."""
     off = robot.forward_kinematics(q, frame) - pose
     away, turn = float(np.linalg.norm(off[:3, 3])), off[:3, :3]
     # The Frobenius norm of the difference of two rotations is sqrt(8) sin(angle / 2).
     turned = 2.0 * float(np.arcsin(min(np.linalg.norm(turn) / np.sqrt(8.0), 1.0)))
-    if not (away <= THERE and turned <= _TURNED):
+    if not (away <= THERE and turned <= _ROTATION_TOLERANCE):
         off_by = f"{1e3 * away:.4g} mm and {turned:.4g} rad"
         yield f"the motion ends with {frame or robot.tool_frame!r} {off_by} from the pose of the goal"
 
@@ -92,8 +92,8 @@ def _approach(robot: Robot, scene: Scene, q: FloatArray) -> Iterator[str]:
     asked = np.radians(np.atleast_1d(scene.goal.approach_deg))
     low, width = asked[0], asked[-1] - asked[0]
     direction = float(approach_angles(robot, q[None], robot.tool_positions(q))[0])
-    beyond = (direction - low + SAME) % (2.0 * np.pi)
-    if beyond > width + 2.0 * SAME:
+    beyond = (direction - low + TASK_TOLERANCE) % (2.0 * np.pi)
+    if beyond > width + 2.0 * TASK_TOLERANCE:
         angle = np.degrees(np.pi - (np.pi - direction) % (2.0 * np.pi))
         wanted = " to ".join(f"{end:g}" for end in np.degrees(asked[[0, -1] if width > 0.0 else [0]]))
         yield f"the tool is at {angle:.4g} deg at the goal; required: {wanted} deg"

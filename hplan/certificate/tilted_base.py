@@ -45,7 +45,7 @@ def use_on_track(use: LimitUse, robot: Robot, scene: Scene, begin_s: float, dura
     """
     if scene.base_track is None:
         return use
-    tilt = largest_tilt(Poses.of(scene.base_track), begin_s, begin_s + duration)
+    tilt = largest_tilt(Poses.from_track(scene.base_track), begin_s, begin_s + duration)
     if tilt <= _UPRIGHT:
         return use
     more = 2.0 * float(np.linalg.norm(robot.model.gravity.linear)) * math.sin(0.5 * tilt) * first_moments(robot)

@@ -22,7 +22,7 @@ from hplan.robot.tracking import TrackingModel
 from hplan.trajectory.trajectory import Trajectory
 
 #: Number of samples in each cubic of a motion.
-_LOOKS = 4
+_SAMPLES_PER_CUBIC = 4
 
 
 class ToolBounds(NamedTuple):
@@ -51,8 +51,8 @@ def tool_bounds(
     """
     pieces, duration = trajectory.segments
     rates, pushes = largest_rates(pieces)
-    bent, turned = (bends / (8.0 * _LOOKS**2) for bends in tool_bends(robot, rates, pushes))
-    looks = np.arange(_LOOKS * len(pieces) + 1) / _LOOKS
+    bent, turned = (bends / (8.0 * _SAMPLES_PER_CUBIC**2) for bends in tool_bends(robot, rates, pushes))
+    looks = np.arange(_SAMPLES_PER_CUBIC * len(pieces) + 1) / _SAMPLES_PER_CUBIC
     poses = robot.forward_kinematics(
         trajectory.positions(np.interp(looks, np.arange(len(pieces) + 1), trajectory.time))
     )
@@ -60,14 +60,14 @@ def tool_bounds(
     deviations = largest_deviations(robot, tracking, fastest(pieces, duration))
     turns = [joint for joint in carriers(robot, robot.tool_joint - 1) if not joint_axis(robot, joint)[1]]
     place = robot.model.frames[robot.frame_number(robot.tool_frame)].placement.translation[None]
-    away = _largest(off) + bent + deviations @ points_reach(robot, place, robot.tool_joint - 1)
-    lean = np.arccos(np.clip(-_largest(-along) - turned, -1.0, 1.0)) + deviations[:, turns].sum(axis=1)
+    away = _largest_per_cubic(off) + bent + deviations @ points_reach(robot, place, robot.tool_joint - 1)
+    lean = np.arccos(np.clip(-_largest_per_cubic(-along) - turned, -1.0, 1.0)) + deviations[:, turns].sum(axis=1)
     return ToolBounds(float(away.max()), float(lean.max()))
 
 
-def _largest(values: FloatArray) -> FloatArray:
+def _largest_per_cubic(values: FloatArray) -> FloatArray:
     """(pieces,) maximum over the samples of each cubic, both ends included."""
-    inner: FloatArray = np.maximum(values[:-1], values[1:]).reshape(-1, _LOOKS).max(axis=1)
+    inner: FloatArray = np.maximum(values[:-1], values[1:]).reshape(-1, _SAMPLES_PER_CUBIC).max(axis=1)
     return inner
 
 

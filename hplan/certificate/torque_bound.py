@@ -212,19 +212,19 @@ def _remainders(bezier: FloatArray, duration: FloatArray, sizes: FloatArray, gra
             for i in range(first, end):
                 for n in range(len(work)):
                     work[n] = bezier[i, n, k]
-                    farthest = _most(farthest, abs(work[n]))
+                    farthest = _maximum_of(farthest, abs(work[n]))
                 left, scale = len(work) - 1, 1.0
                 for n in range(1, min(left, 4) + 1):
                     scale *= left / duration[i]
                     for m in range(left):
                         work[m] = work[m + 1] - work[m]
-                        rate[n] = _most(rate[n], scale * abs(work[m]))
+                        rate[n] = _maximum_of(rate[n], scale * abs(work[m]))
                     left -= 1
             rotor[k] = sizes[k, 6] * rate[4]
             above = int(sizes[k, 4])
             z[k, 0], s[k, 0], d[k, 0], tensor[k, 0] = 1.0, sizes[k, 0], sizes[k, 1], sizes[k, 3]
-            _turned(w[above], z[k], _OF_VECTORS, 1.0)
-            _turned(w[above], s[k], _OF_VECTORS, 1.0)
+            _rotate_derivatives(w[above], z[k], _OF_VECTORS, 1.0)
+            _rotate_derivatives(w[above], s[k], _OF_VECTORS, 1.0)
             slides = sizes[k, 5] > 0.0
             if slides:
                 for n in range(5):
@@ -235,8 +235,8 @@ def _remainders(bezier: FloatArray, duration: FloatArray, sizes: FloatArray, gra
                 w[k, n] = w[above, n]
                 for m in range(n + 1 if not slides else 0):
                     w[k, n] += _CHOOSE[n, m] * z[k, m] * rate[n - m + 1]
-            _turned(w[k], d[k], _OF_VECTORS, 1.0)
-            _turned(w[k], tensor[k], _OF_AXES, 2.0)
+            _rotate_derivatives(w[k], d[k], _OF_VECTORS, 1.0)
+            _rotate_derivatives(w[k], tensor[k], _OF_AXES, 2.0)
             for n in range(3):
                 acc[k, n] = acc[above, n] + s[k, n + 2]
                 force[k, n] = sizes[k, 2] * (acc[k, n] + d[k, n + 2])
@@ -265,13 +265,13 @@ def _remainders(bezier: FloatArray, duration: FloatArray, sizes: FloatArray, gra
 
 
 @kernel
-def _most(one: float, other: float) -> float:
+def _maximum_of(one: float, other: float) -> float:
     """Maximum of non-negative numbers, with NaN in `other` treated as infinity."""
     return max(one, other) if other < np.inf else np.inf
 
 
 @kernel
-def _turned(w: FloatArray, x: FloatArray, orders: int, factor: float) -> None:
+def _rotate_derivatives(w: FloatArray, x: FloatArray, orders: int, factor: float) -> None:
     """Fill in the derivatives of a quantity that rotates with a body."""
     for n in range(orders):
         x[n + 1] = 0.0

@@ -14,7 +14,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from hplan.base.arguments import whole
+from hplan.base.arguments import check_integer
 from hplan.base.arrays import BoolArray, FloatArray
 from hplan.base.deadline import check_deadline
 from hplan.certificate.clearance_curve import ProvedStretch, Subject
@@ -68,7 +68,7 @@ def touch_estimate(subject: Subject, scene: Scene, draws: int = 10_000, seed: in
     """
     from scipy.stats import beta
 
-    draws = whole("draws", draws, 1)
+    draws = check_integer("draws", draws, 1)
     random, touched = np.random.default_rng(seed), np.zeros(draws, dtype=np.bool_)
     common = random.multivariate_normal(np.zeros(3), scene.shared_error, size=draws, method="eigh")
     shifts = {
@@ -79,10 +79,10 @@ def touch_estimate(subject: Subject, scene: Scene, draws: int = 10_000, seed: in
     for motion, _ in subject.motions:
         bezier, _ = motion.trajectory.segments
         for stretch in motion.stretches:
-            for solid, distance, places in _near(bezier[stretch.part], stretch, shifts):
+            for solid, distance, places in _iterate_nearby(bezier[stretch.part], stretch, shifts):
                 check_deadline()
                 left = np.flatnonzero(~touched)
-                touched[left[_touching(solid, distance, places, shifts[solid.name][left])]] = True
+                touched[left[_contact_mask(solid, distance, places, shifts[solid.name][left])]] = True
     count = int(touched.sum())
     low = float(beta.ppf(0.5 - 0.5 * LEVEL, count, draws - count + 1)) if count else 0.0
     high = float(beta.ppf(0.5 + 0.5 * LEVEL, count + 1, draws - count)) if count < draws else 1.0
@@ -96,7 +96,7 @@ _Distance = Callable[[coal.CollisionGeometry, pin.SE3], float]
 _Place = tuple[coal.CollisionGeometry, pin.SE3, float, float]
 
 
-def _near(
+def _iterate_nearby(
     bezier: FloatArray, stretch: ProvedStretch, shifts: dict[str, FloatArray]
 ) -> Iterator[tuple[Solid, _Distance, list[_Place]]]:
     """Obstacles that a draw may bring into contact, with nearby shapes.
@@ -156,7 +156,7 @@ def _convex(solid: Solid) -> Iterator[tuple[FloatArray, float]]:
     yield from ((core, solid.rounding) for core in cores)
 
 
-def _touching(solid: Solid, distance: _Distance, places: list[_Place], shifts: FloatArray) -> BoolArray:
+def _contact_mask(solid: Solid, distance: _Distance, places: list[_Place], shifts: FloatArray) -> BoolArray:
     """(k,) mask of the shifts that bring a solid into contact.
 
     `shifts` is (k, 3); contact is with any of the shapes in `places`.
@@ -167,7 +167,7 @@ def _touching(solid: Solid, distance: _Distance, places: list[_Place], shifts: F
     # A convex solid that stays on its side of the plane between it and a shape does not touch the shape.
     other = obstacle_shapes([solid])[0]
     apart = nearest > np.array([place[3] for place in places])
-    side = (shifts @ np.array([_away(other, place) for place in places]).T >= nearest - 1e-4) | ~apart
+    side = (shifts @ np.array([_separating_direction(other, place) for place in places]).T >= nearest - 1e-4) | ~apart
     touching = np.zeros(len(shifts), dtype=np.bool_)
     for draw in np.flatnonzero(sizes >= nearest[0]).tolist():
         for k in np.flatnonzero(side[draw] & (nearest <= sizes[draw])).tolist():
@@ -179,7 +179,7 @@ def _touching(solid: Solid, distance: _Distance, places: list[_Place], shifts: F
     return touching
 
 
-def _away(solid: Any, place: _Place) -> FloatArray:
+def _separating_direction(solid: Any, place: _Place) -> FloatArray:
     """(3,) direction from a solid to a placed shape, by coal."""
     result, at = coal.DistanceResult(), place[1]
     where = coal.Transform3s(at.rotation, at.translation)

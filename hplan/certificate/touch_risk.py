@@ -63,10 +63,10 @@ from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import largest_deviation
 
 #: Standard deviations beyond which obstacles are ignored: 2e-10 of a position's errors are larger.
-FAR: Final = 7.0
+FAR_SIGMAS: Final = 7.0
 
 #: Fraction of a gap that a body may travel to the next half-space, if the obstacle is near.
-_STEP: Final = 0.03
+_GAP_FRACTION: Final = 0.03
 
 #: Gap below which an obstacle counts as touched [m]; maximum number of half-spaces in a segment.
 _LEAST, _MOST = 1e-6, any_int(2_000_000)
@@ -101,7 +101,7 @@ _OBSTACLE, _NORMAL, _GAP = 0, 1, 4
 
 
 @dataclass(frozen=True)
-class Share:
+class RiskShare:
     """An obstacle and its share of the probability.
 
     Attributes:
@@ -130,7 +130,7 @@ class TouchRisk:
 
     asked: float
     bound: float
-    shares: tuple[Share, ...]
+    shares: tuple[RiskShare, ...]
     shared: float
     subject: Subject = field(compare=False, repr=False)
     scene: Scene = field(compare=False, repr=False)
@@ -159,9 +159,9 @@ def touch_risk(subject: Subject, scene: Scene, asked: float) -> TouchRisk:
     """
     errors, shared = scene.errors, scene.shared_error
     # An obstacle is far if it is far for both ways of counting the shared error: added, or separate.
-    far = {name: FAR * (largest_deviation(error) + largest_deviation(shared)) for name, error in errors.items()}
+    far = {name: FAR_SIGMAS * (largest_deviation(error) + largest_deviation(shared)) for name, error in errors.items()}
     names = list(far)
-    found = [rows for motion, _ in subject.motions for rows in _along(motion, far)]
+    found = [rows for motion, _ in subject.motions for rows in _iterate_half_spaces(motion, far)]
     rows = np.concatenate([np.zeros((0, 5)), *found])
     owner = rows[:, _OBSTACLE].astype(np.int64)
     uncertain = [number for number, name in enumerate(names) if far[name] > 0.0]
@@ -169,7 +169,7 @@ def touch_risk(subject: Subject, scene: Scene, asked: float) -> TouchRisk:
     rows, owner = rows[order], owner[order]
     starts = np.searchsorted(owner, np.arange(len(names) + 1))
     parts = {n: rows[starts[n] : starts[n + 1]] for n in uncertain}
-    whole = {n: _beyond(part[:, 1:4], part[:, _GAP], errors[names[n]] + shared) for n, part in parts.items()}
+    whole = {n: _exit_probability(part[:, 1:4], part[:, _GAP], errors[names[n]] + shared) for n, part in parts.items()}
     bound, common, own = sum(whole.values()), 0.0, whole
     if shared.any() and all((part[:, _GAP] > 0.0).all() for part in parts.values()):
         of_all, alone = [np.zeros((0, 4))], {}
@@ -179,20 +179,20 @@ def touch_risk(subject: Subject, scene: Scene, asked: float) -> TouchRisk:
             # The gap is divided in proportion to both standard deviations; if one is zero, the other gets it all.
             share = part[:, _GAP] / np.maximum(of_shared + of_own, 1e-300)
             moved = of_own > 0.0
-            alone[n] = _beyond(normals[moved], (share * of_own)[moved], error) if error.any() else 0.0
+            alone[n] = _exit_probability(normals[moved], (share * of_own)[moved], error) if error.any() else 0.0
             moved = of_shared > 0.0
             of_all.append(np.column_stack([normals, share * of_shared])[moved])
         together = np.concatenate(of_all)
-        common_part = _beyond(together[:, :3], together[:, 3], shared)
+        common_part = _exit_probability(together[:, :3], together[:, 3], shared)
         if common_part + sum(alone.values()) < bound:
             bound, common, own = common_part + sum(alone.values()), common_part, alone
     least = {n: float(part[:, _GAP].min(initial=math.inf)) for n, part in parts.items()}
-    shares = [Share(names[n], own[n], least[n]) for n in uncertain if least[n] < math.inf]
+    shares = [RiskShare(names[n], own[n], least[n]) for n in uncertain if least[n] < math.inf]
     shares.sort(key=lambda share: (-share.probability, share.obstacle))
     return TouchRisk(asked, min(1.0, float(bound)), tuple(shares), common, subject, scene)
 
 
-def _along(motion: ProvedMotion, far: dict[str, float]) -> Iterator[FloatArray]:
+def _iterate_half_spaces(motion: ProvedMotion, far: dict[str, float]) -> Iterator[FloatArray]:
     """Half-spaces of the segments of a motion."""
     bezier, _ = motion.trajectory.segments
     for stretch in motion.stretches:
@@ -267,7 +267,7 @@ def _deviations(normals: FloatArray, covariance: FloatArray) -> FloatArray:
     return deviations
 
 
-def _beyond(normals: FloatArray, gaps: FloatArray, covariance: FloatArray) -> float:
+def _exit_probability(normals: FloatArray, gaps: FloatArray, covariance: FloatArray) -> float:
     """Probability bound of an error in half-spaces or beyond `FAR` sigmas.
 
     An upper bound.
@@ -283,9 +283,9 @@ def _beyond(normals: FloatArray, gaps: FloatArray, covariance: FloatArray) -> fl
         return 1.0
     along = normals @ _root(covariance)
     lengths = np.sqrt((along * along).sum(axis=1))
-    kept = gaps < FAR * lengths
+    kept = gaps < FAR_SIGMAS * lengths
     if not kept.any():
-        return float(beyond_sigmas(FAR))
+        return float(beyond_sigmas(FAR_SIGMAS))
     starts = gaps[kept] / lengths[kept]
     order = np.argsort(starts)
     directions = np.ascontiguousarray((along[kept] / lengths[kept, None])[order])
@@ -347,7 +347,7 @@ def _mean_beyond(
     """
     cos, sin, total = math.cos(radius), math.sin(radius), 0.0
     for cell in range(len(weights)):
-        begins = FAR
+        begins = FAR_SIGMAS
         for k in range(len(starts)):
             if starts[k] >= begins:
                 break
@@ -424,11 +424,11 @@ def _half_spaces(
                 if not (gap > _LEAST and length > 0.0) or count >= _MOST:
                     gap, loss, going = 0.0, 0.0, False
                     length = 1.0
-                elif gap - far >= min(left, _STEP * gap):
+                elif gap - far >= min(left, _GAP_FRACTION * gap):
                     # It is far up to the next place.
                     step, going, back = gap - far, gap - far < left, 0.0
                 else:
-                    step = _STEP * gap
+                    step = _GAP_FRACTION * gap
                     if step >= left:
                         loss, going = max(loss, left), False
                     else:

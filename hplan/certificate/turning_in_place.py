@@ -24,7 +24,7 @@ from hplan.scene.obstacles import Solid
 from hplan.scene.tracks import Movement
 
 #: Number of sampled times in the distance bound of a moving obstacle.
-_TIMES: Final = 257
+_TIMES_PER_PIECE: Final = 257
 
 #: Rules of the listed pairs.
 _TURNS: Final = "they must not touch: it turns in place, so no joint moves it nearer"
@@ -105,8 +105,8 @@ def _lower_bound(
         most: Maximum distance of interest [m].
     """
     solid, ball = obstacle
-    times = np.linspace(*span_s, _TIMES)
-    rotations, shifts = movement.at(times)
+    times = np.linspace(*span_s, _TIMES_PER_PIECE)
+    rotations, shifts = movement.displacement_at(times)
     steps = movement.rates(solid.core, solid.rounding) * np.diff(movement.breaks)
     travel = np.diff(np.interp(times, movement.breaks, np.concatenate([[0.0], np.cumsum(steps)])))
     centre, radius = base.centre, base.radius

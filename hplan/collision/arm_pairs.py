@@ -29,7 +29,7 @@ from hplan.collision.geometry_pairs import ArmPairs
 from hplan.collision.reach import carriers, is_moved, joint_axis, joints_between, reach_of
 from hplan.collision.touching_pairs import BEYOND, RIGID, SelfPairs, self_pairs
 from hplan.errors import RobotFileError
-from hplan.robot.base_shapes import BASE_DEPTH, always
+from hplan.robot.base_shapes import BASE_DEPTH, is_always_within
 from hplan.robot.model import Robot, made_once
 from hplan.scene.obstacles import Solid
 
@@ -94,12 +94,12 @@ class ArmParts(Record):
     @cached_property
     def all_shapes(self) -> tuple[pin.GeometryObject, ...]:
         """The `shapes`, then all other shapes of the pairs."""
-        return tuple(self._every.values())
+        return tuple(self._all_objects.values())
 
     @cached_property
     def bare_shapes(self) -> tuple[BareShape, ...]:
         """`all_shapes` without their swept-sphere radii."""
-        return tuple(BareShape.of(shape.geometry) for shape in self.all_shapes)
+        return tuple(BareShape.strip(shape.geometry) for shape in self.all_shapes)
 
     @cached_property
     def shape_pairs(self) -> tuple[tuple[pin.GeometryObject, pin.GeometryObject], ...] | ArmPairs:
@@ -119,7 +119,7 @@ class ArmParts(Record):
         return tuple(names), readonly(np.array(numbers).reshape(-1, 2), np.int64)
 
     @cached_property
-    def farthest(self) -> FloatArray:
+    def maximum_distance(self) -> FloatArray:
         """(pairs,) maximum sampled distance of each pair [m]; infinite as in `ArmPair`."""
         return frozen(np.array([pair.farthest for pair in self.own]))
 
@@ -141,10 +141,10 @@ class ArmParts(Record):
     @property
     def key(self) -> tuple[tuple[int, ...], bytes]:
         """Cache key within one robot: identities of the shapes, and the pairs."""
-        return tuple(self._every), self.movers[0].tobytes()
+        return tuple(self._all_objects), self.movers[0].tobytes()
 
     @cached_property
-    def _every(self) -> dict[int, pin.GeometryObject]:
+    def _all_objects(self) -> dict[int, pin.GeometryObject]:
         return {id(shape): shape for shape in (*self.shapes, *itertools.chain(*(pair.shapes for pair in self.own)))}
 
     @cached_property
@@ -155,7 +155,7 @@ class ArmParts(Record):
             (movers, 2) indices of the bodies, -1 for no second body; (movers, dof) 1 for joints that contribute to the
             (relative) motion, else 0.
         """
-        alone, numbers = len(self.shapes), {shape: number for number, shape in enumerate(self._every)}
+        alone, numbers = len(self.shapes), {shape: number for number, shape in enumerate(self._all_objects)}
         both = [(body, -1) for body in range(alone)]
         both += [(numbers[id(first)], numbers[id(second)]) for first, second in (pair.shapes for pair in self.own)]
         counts = np.zeros((len(both), self.robot.dof))
@@ -189,7 +189,7 @@ class ArmParts(Record):
         return readonly(slots, np.int64), readonly(found, np.int64)
 
     @cached_property
-    def alike(self) -> IntArray:
+    def motion_groups(self) -> IntArray:
         """(movers,) group index of the `movers` with similar motion.
 
         A group contains pairs of the same two links with similar motion-bound coefficients.
@@ -245,8 +245,8 @@ def arm_parts(robot: Robot, deviation: float, clearance: float) -> ArmParts:
         clearance: Required clearance [m].
     """
     most_known = 32
-    decide = robot.cached("arm_parts", lambda: lru_cache(most_known)(partial(_parts, robot)))
-    return decide(_beyond(deviation), folds(robot, deviation, clearance))
+    decide = robot.cache("arm_parts", lambda: lru_cache(most_known)(partial(_parts, robot)))
+    return decide(_round_up_deviation(deviation), folds(robot, deviation, clearance))
 
 
 def _parts(robot: Robot, deviation: float, parts: tuple[Fold, ...]) -> ArmParts:
@@ -327,7 +327,7 @@ def base_radius(robot: Robot) -> float:
     return max((float(np.linalg.norm(body.centre)) + body.radius for body in base_bodies(robot)), default=0.0)
 
 
-def _beyond(deviation: float) -> float:
+def _round_up_deviation(deviation: float) -> float:
     """Deviation rounded up to a multiple of `BEYOND`, to limit recomputation."""
     return BEYOND * max(1, math.ceil(deviation / BEYOND - 1e-9))
 
@@ -368,5 +368,5 @@ def _supports(robot: Robot, body: CollisionBody, shape: pin.GeometryObject, obst
             return asked(shape.geometry, place * turn * shape.placement)
 
         ends_at = float(robot.lower[body.joint]), float(robot.upper[body.joint])
-        found[number] = always(distance, *ends_at, rate, BASE_DEPTH)
+        found[number] = is_always_within(distance, *ends_at, rate, BASE_DEPTH)
     return found

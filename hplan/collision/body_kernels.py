@@ -23,7 +23,7 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, TableArray
 from hplan.base.deadline import is_up
-from hplan.base.kernels import any_int, inlined, kernel
+from hplan.base.kernels import any_int, inline, kernel
 from hplan.collision import flat_bodies as flat
 from hplan.collision import obstacle_rows as row
 from hplan.collision.obstacle_rows import FieldArrays
@@ -90,7 +90,7 @@ def _placed_arm(q: FloatArray, field: FieldArrays) -> BodyArrays:
     return BodyArrays(bodies, field.pairs, joints, field.points, field.solids, field.data, placed, frames, work)
 
 
-@inlined
+@inline
 def pose_of(frames: FloatArray, j: int) -> Pose:
     """Pose of joint j's frame."""
     return (
@@ -99,14 +99,14 @@ def pose_of(frames: FloatArray, j: int) -> Pose:
     )  # fmt: skip
 
 
-@inlined
+@inline
 def span_of(bodies: TableArray, b: int) -> Span:
     """Index range and corner table of a body's points."""
     body = bodies[b]
     return body.first, body.last, body.table
 
 
-@inlined
+@inline
 def difference(frames: FloatArray, j: int, i: int) -> Pose:
     """Pose of joint j's frame in joint i's frame."""
     a, b = frames[i], frames[j]
@@ -127,7 +127,7 @@ def difference(frames: FloatArray, j: int, i: int) -> Pose:
     )
 
 
-@inlined
+@inline
 def segment_of(placed: TableArray, b: int) -> tuple[Vector, Vector]:
     """Start and vector of a body's axis segment."""
     start, along = placed[b].start, placed[b].along
@@ -192,10 +192,10 @@ def off_body(placed: TableArray, j: int, i: int) -> Shown:
     return x, y, z, t, (low + min(0.0, slope) - max(0.0, rise)) / length
 
 
-@inlined
+@inline
 def is_thin(bodies: TableArray, b: int) -> bool:
     """True if a body is its axis segment grown by a radius."""
-    thin: bool = bodies[b].last - bodies[b].first <= flat.THIN
+    thin: bool = bodies[b].last - bodies[b].first <= flat.CAPSULE_COORDINATES
     return thin
 
 

@@ -25,7 +25,7 @@ from hplan.collision.twists import motion_bends
 from hplan.geometry.segment_distance import point_segment
 from hplan.geometry.vectors import vector_of
 
-_FIRST_ROW = any_int(0)
+_FIRST_MOTION_ROW = any_int(0)
 
 #: Maximum number of distance queries along one motion.
 _MOST_LOOKS = any_int(1_000_000)
@@ -60,7 +60,7 @@ class Run(NamedTuple):
 
 
 @kernel
-def _run(piece: FloatArray, field: FieldArrays, margin: float) -> Run:
+def _prepare_motion(piece: FloatArray, field: FieldArrays, margin: float) -> Run:
     """Prepare a motion: bounds on the speed and acceleration of its points."""
     dof = piece.shape[1]
     bends, fastest, changes = np.empty((len(field.bodies) + len(field.pairs), 2)), np.empty(dof), np.empty(dof)
@@ -73,7 +73,7 @@ def _run(piece: FloatArray, field: FieldArrays, margin: float) -> Run:
 
 
 @kernel
-def _look(run: Run, t: float, back: float, forward: float) -> Part:
+def _verify_segment(run: Run, t: float, back: float, forward: float) -> Part:
     """Segment verified collision-free around parameter t, at most the requested one."""
     piece, u = run.piece, 1.0 - t
     w0, w1, w2, w3 = u * u * u, 3.0 * u * u * t, 3.0 * u * t * t, t * t * t
@@ -100,7 +100,7 @@ def _march(run: Run, middle: Part, looks: int, stride: float, least: float) -> t
     shown, covered, at, last, ask = 0.0, 0.0, 0.0, -1.0, _FIRST_STEP
     for used in range(looks):
         asked = at - covered
-        part = _look(run, at, asked, min(1.0 - at, ask))
+        part = _verify_segment(run, at, asked, min(1.0 - at, ask))
         if part.forward < 0.0:
             return shown, used + 1
         if part.back >= asked or at <= last + stride:
@@ -135,7 +135,7 @@ def shown_part(piece: FloatArray, field: FieldArrays, margin: float, least: floa
         The end of the verified segment as the motion's parameter in [0, 1], 0 if nothing is verified; and the number of
         queries.
     """
-    run = _run(piece, field, margin)
+    run = _prepare_motion(piece, field, margin)
     shown, used = _march(run, Part(-1.0, -1.0), looks, 0.0, least)
     return shown, used
 
@@ -151,8 +151,8 @@ def piece_is_clear(piece: FloatArray, field: FieldArrays, margin: float, stride:
         stride: Minimum step between queries. A positive value rules out proofs near contact but is cheap, for
             optimizers.
     """
-    run = _run(piece, field, margin)
-    middle = _look(run, 0.5, 0.5, 0.5)
+    run = _prepare_motion(piece, field, margin)
+    middle = _verify_segment(run, 0.5, 0.5, 0.5)
     if middle.forward < 0.0 or (middle.back >= 0.5 and middle.forward >= 0.5):
         return middle.forward >= 0.0
     farthest = 0.0
@@ -162,7 +162,7 @@ def piece_is_clear(piece: FloatArray, field: FieldArrays, margin: float, stride:
     while farthest > parts * _APART and not is_up(field.until):
         parts *= 2
         for part in range(1, parts, 2):
-            if _look(run, part / parts, 0.0, 0.0).forward < 0.0:
+            if _verify_segment(run, part / parts, 0.0, 0.0).forward < 0.0:
                 return False
     shown, _ = _march(run, middle, _MOST_LOOKS, stride, 0.0)
     return shown == 1.0
@@ -210,7 +210,7 @@ def mark_near(path: FloatArray, arrays: FieldArrays, distance: float, near: Bool
             if not bodies[b].is_checked:
                 continue
             start, along = segment_of(placed, b)
-            following = _FIRST_ROW
+            following = _FIRST_MOTION_ROW
             while following < len(solids):
                 s = following
                 following = s + 1

@@ -133,12 +133,12 @@ def lower_bounds(q: FloatArray, pairs: IntArray, sides: IntArray, boxes: TableAr
     frames, work, bounds = np.empty((len(q) + 1, 12)), np.empty((2, 12)), np.empty(len(pairs))
     place_joints(q, joints, frames)
     for i in range(len(pairs)):
-        bounds[i] = apart(frames, boxes, sides[pairs[i]], work)
+        bounds[i] = box_separation(frames, boxes, sides[pairs[i]], work)
     return bounds
 
 
 @kernel
-def apart(frames: FloatArray, boxes: TableArray, both: IntArray, work: FloatArray) -> float:
+def box_separation(frames: FloatArray, boxes: TableArray, both: IntArray, work: FloatArray) -> float:
     """Lower bound of two boxes' distance [m]; -`ANYWHERE` unless positive.
 
     Args:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, TableArray, frozen
-from hplan.base.deadline import check_deadline, until
+from hplan.base.deadline import check_deadline, kernel_time_limit
 from hplan.collision.body_kernels import FAR, body_slopes, clearances_along
 from hplan.collision.body_motions import mark_near, path_is_clear
 from hplan.collision.flat_bodies import FlatBodies
@@ -51,7 +51,9 @@ class ClearanceField(Record):
     def arrays(self) -> FieldArrays:
         """The arrays and the deadline for the kernels."""
         arm = self.arm
-        return FieldArrays(arm.bodies, arm.pairs, arm.joints, arm.reaches, arm.points, self.solids, self.data, until())
+        return FieldArrays(
+            arm.bodies, arm.pairs, arm.joints, arm.reaches, arm.points, self.solids, self.data, kernel_time_limit()
+        )
 
     @property
     def reaches(self) -> FloatArray:
@@ -64,7 +66,7 @@ class ClearanceField(Record):
         return len(self.arm.reaches)
 
     @classmethod
-    def of(
+    def build(
         cls,
         robot: Robot,
         obstacles: Sequence[Solid],
@@ -86,9 +88,9 @@ class ClearanceField(Record):
         growth = np.asarray(clearance, dtype=np.float64)
         own = float(growth.min()) if own_clearance is None and growth.size else own_clearance or 0.0
         solids, data, owner = rows_of(obstacles, growth, joints)
-        return cls(FlatBodies.of(robot, own, deviation), frozen(solids), frozen(data), frozen(owner))
+        return cls(FlatBodies.build(robot, own, deviation), frozen(solids), frozen(data), frozen(owner))
 
-    def only(self, kept: BoolArray, *, arm: bool = True) -> ClearanceField:
+    def select(self, kept: BoolArray, *, arm: bool = True) -> ClearanceField:
         """Return the field of a subset of the obstacles.
 
         Args:
@@ -98,7 +100,7 @@ class ClearanceField(Record):
         found = self._of_rows(np.append(kept, [True, True])[self.owner])
         return found if arm else replace(found, arm=self.arm.with_pairs(np.zeros(len(self.arm.pairs), dtype=np.bool_)))
 
-    def sparing(self, touched: BoolArray) -> ClearanceField:
+    def ignoring_last_link(self, touched: BoolArray) -> ClearanceField:
         """Return the field whose last joint's bodies may touch some obstacles.
 
         Args:
@@ -106,7 +108,7 @@ class ClearanceField(Record):
         """
         before_last = len(self.arm.joints) - 2
         if before_last < 0:
-            return self.only(~touched)
+            return self.select(~touched)
         rows = np.append(touched, [False, False])[self.owner]
         first = rows & (np.concatenate([[-2], self.owner[:-1]]) != self.owner)  # A joint range comes before it.
         before = np.concatenate([[0], np.cumsum(first)])
@@ -124,7 +126,7 @@ class ClearanceField(Record):
         owner = np.insert(self.owner, np.flatnonzero(first), self.owner[first])
         return replace(self, solids=frozen(solids), owner=frozen(owner))
 
-    def near(self, path: ArrayLike, distance: float) -> ClearanceField:
+    def select_near(self, path: ArrayLike, distance: float) -> ClearanceField:
         """Return the field of the obstacles near a motion.
 
         For optimizers only: their result is certified with the whole field.
@@ -177,10 +179,10 @@ class ClearanceField(Record):
 
         Clamped and signed as by `along`.
         """
-        found: FloatArray = self.along(np.asarray(q)[None], enough)[0]
+        found: FloatArray = self.clearance_along(np.asarray(q)[None], enough)[0]
         return found
 
-    def along(self, configurations: ArrayLike, enough: float = FAR) -> FloatArray:
+    def clearance_along(self, configurations: ArrayLike, enough: float = FAR) -> FloatArray:
         """Clearance of each moving body at many configurations [m].
 
         Args:

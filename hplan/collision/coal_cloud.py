@@ -30,13 +30,13 @@ from hplan.scene.obstacles import Capsule, Solid
 #: Size of the triangle that represents a point [m]. For triangles degenerated to points, coal's distance from a ball is
 #: wrong.
 _SPECK: Final = 1e-7
-_CORNERS: Final = _SPECK * np.array([[1.0, 0.0, 0.5], [-0.5, 0.75, -0.25], [-0.5, -0.75, -0.25]])
+_SPECK_CORNERS: Final = _SPECK * np.array([[1.0, 0.0, 0.5], [-0.5, 0.75, -0.25], [-0.5, -0.75, -0.25]])
 
 #: Radius of a capsule that represents its axis [m].
 _THIN: Final = 1e-6
 
 #: The blocks of the clouds in use.
-_KNOWN: WeakKeyDictionary[Cloud, PointBlocks] = WeakKeyDictionary()
+_BLOCKS_OF_CLOUDS: WeakKeyDictionary[Cloud, PointBlocks] = WeakKeyDictionary()
 
 _PLACE: Final = coal.Transform3s()
 _REQUEST: Final = coal.DistanceRequest()
@@ -61,7 +61,7 @@ class BareShape(NamedTuple):
     thin: BareShape | None = None
 
     @classmethod
-    def of(cls, shape: coal.CollisionGeometry) -> BareShape:
+    def strip(cls, shape: coal.CollisionGeometry) -> BareShape:
         """Strip the swept radius, if any, from a shape of the arm."""
         radius = float(shape.getSweptSphereRadius())
         if radius > 0.0:
@@ -86,14 +86,14 @@ class PointBlocks:
         self._trees: dict[int, coal.BVHModelOBBRSS] = {}
 
     @classmethod
-    def of(cls, cloud: Cloud) -> PointBlocks:
+    def from_cloud(cls, cloud: Cloud) -> PointBlocks:
         """Return the blocks of a cloud, built once."""
-        found = _KNOWN.get(cloud)
+        found = _BLOCKS_OF_CLOUDS.get(cloud)
         if found is None:
             points, tree = cloud.core, cloud.tree
             if len(tree) == 0:  # The points are unordered.
                 points, tree = tree_of(points, LEAF)
-            found = _KNOWN[cloud] = cls(points, tree)
+            found = _BLOCKS_OF_CLOUDS[cloud] = cls(points, tree)
         return found
 
     def distance(self, shape: BareShape, placement: pin.SE3, most: float = math.inf) -> float:
@@ -121,7 +121,7 @@ class PointBlocks:
         if tree is None:
             first, last = self._nodes[block, :2].astype(np.int64)
             inside = self._points[first:last]
-            corners = (inside[:, None] + _CORNERS).reshape(-1, 3)
+            corners = (inside[:, None] + _SPECK_CORNERS).reshape(-1, 3)
             tree = self._trees[block] = triangle_tree(corners, np.arange(len(corners)).reshape(-1, 3))
         return tree
 
@@ -140,7 +140,7 @@ def _core_box(shape: coal.CollisionGeometry) -> tuple[FloatArray, float]:
 
 def obstacle_shape(obstacle: Solid) -> pin.GeometryObject | PointBlocks:
     """The obstacle as coal sees it; a cloud without its radius (`beyond_geometry`)."""
-    return PointBlocks.of(obstacle) if isinstance(obstacle, Cloud) else solid_shape(obstacle)
+    return PointBlocks.from_cloud(obstacle) if isinstance(obstacle, Cloud) else solid_shape(obstacle)
 
 
 def obstacle_shapes(obstacles: Sequence[Solid]) -> list[pin.GeometryObject | PointBlocks]:
@@ -162,7 +162,7 @@ def distance_from(obstacle: Solid, most: float = math.inf) -> Callable[[coal.Col
     solid = obstacle_shape(obstacle)
     if isinstance(solid, PointBlocks):
         beyond = beyond_geometry(obstacle)
-        return lambda shape, placement: solid.distance(BareShape.of(shape), placement, most + beyond) - beyond
+        return lambda shape, placement: solid.distance(BareShape.strip(shape), placement, most + beyond) - beyond
     return lambda shape, placement: coal_distance(shape, placement, solid.geometry, solid.placement)
 
 

@@ -27,7 +27,7 @@ from hplan.collision.coal_accuracy import distance_errors
 from hplan.collision.coal_cloud import distance_from, obstacle_shapes
 from hplan.collision.coal_shapes import beyond_geometry
 from hplan.collision.geometry_pairs import GeometryPairs
-from hplan.collision.giving_way import pushing_links, yielded
+from hplan.collision.giving_way import maximum_deflection, pushing_links
 from hplan.collision.moving_solids import MovingSolids
 from hplan.collision.touching_pairs import required_distances
 from hplan.errors import MovingObstacleError
@@ -45,7 +45,7 @@ class Contact:
     distance_m: float
 
     @property
-    def other(self) -> str:
+    def other_name(self) -> str:
         """Name of the obstacle for messages."""
         return f"obstacle {self.obstacle!r}"
 
@@ -55,7 +55,7 @@ class OwnContact(Contact):
     """Signed distance between a link and another part, `obstacle` [m]."""
 
     @property
-    def other(self) -> str:
+    def other_name(self) -> str:
         """Name of the other part of the arm for messages."""
         return f"link {self.obstacle!r}"
 
@@ -130,7 +130,7 @@ class CoalScene:
             "movements": tuple(movements),
             "yield_links": None if yield_links is None else tuple(yield_links),
         }
-        self.moving = MovingSolids.of(obstacles, movements)
+        self.moving = MovingSolids.combine(obstacles, movements)
         self._touched: tuple[tuple[str, tuple[str, ...]], ...] = ()
         self.deviation, self.clearance = float(deviation), float(clearance)
         parts = arm_parts(robot, self.deviation, self.clearance)
@@ -162,7 +162,7 @@ class CoalScene:
         self.obstacle_names = (*(obstacle.name for obstacle in obstacles), *own_names)
         self.pairs = list(itertools.product(mover_of, range(len(obstacles))))
         self.pairs += zip(own[:, 0].tolist(), (self.own_first + own[:, 1]).tolist(), strict=True)
-        self._yielded = self._depths(yielded(robot, obstacles, yield_links), yield_links)
+        self._yielded = self._depths(maximum_deflection(robot, obstacles, yield_links), yield_links)
         # Parts of the arm do not grow.
         self._taken_off: FloatArray = np.append(self._beyond, np.zeros(len(parts.own)))
         solids = obstacle_shapes(obstacles)
@@ -205,7 +205,7 @@ class CoalScene:
             row[3] = 0.5 * float(np.linalg.norm(high - low)) + solid.rounding + growth
         return found
 
-    def covering(self, deviation: float, clearance: float) -> CoalScene:
+    def with_margins(self, deviation: float, clearance: float) -> CoalScene:
         """Checker with the pairs required by tracking error and clearance.
 
         Tracking error [rad], clearance [m].
@@ -219,7 +219,7 @@ class CoalScene:
         built = {**self._built, "deviation": most, "clearance": clearance}
         return _rebuilt(built, self._touched)
 
-    def touching(self, name: str, hangs_from: Sequence[str] = ()) -> CoalScene:
+    def allow_touch(self, name: str, hangs_from: Sequence[str] = ()) -> CoalScene:
         """Checker whose last link may touch the obstacles of a name.
 
         Their distance to the last link counts as infinite.
@@ -233,7 +233,9 @@ class CoalScene:
         other._touched = (*self._touched, (name, tuple(hangs_from)))
         if hangs_from:
             links, hanging = self._built["yield_links"], {each for _, names in other._touched for each in names}
-            other._yielded = self._depths(yielded(self.robot, self._built["obstacles"], links, hanging), links)
+            other._yielded = self._depths(
+                maximum_deflection(self.robot, self._built["obstacles"], links, hanging), links
+            )
         other._beyond = self._beyond.copy()
         named = np.flatnonzero([obstacle == name for obstacle in self.obstacle_names[: self.own_first]])
         other._beyond[np.ix_(self._last, named)] = -np.inf
@@ -265,11 +267,11 @@ class CoalScene:
         return self._mover_shapes, self._built["obstacles"], depths
 
     @property
-    def pushed(self) -> IntArray:
+    def compliant_pairs(self) -> IntArray:
         """Indices of the `pairs` with a compliant obstacle."""
         return np.flatnonzero(self._yielded) if self._yielded is not None else np.zeros(0, dtype=np.int64)
 
-    def kept(self, clearance: float) -> float | FloatArray:
+    def required_distance(self, clearance: float) -> float | FloatArray:
         """Required distances of the `pairs` [m].
 
         For a clearance, one number or (pairs,) [m].
@@ -277,22 +279,22 @@ class CoalScene:
         The required distance is 0 for bodies of one arm that are always closer together than the clearance
         (`touching_pairs.required_distances`). For a compliant obstacle it is negative at any clearance.
         """
-        if self._yielded is None and not np.isfinite(self.parts.farthest).any():
+        if self._yielded is None and not np.isfinite(self.parts.maximum_distance).any():
             return clearance
         found = np.full(len(self.pairs), clearance)
-        found[self._beyond.size :] = required_distances(self.parts.farthest, clearance)
+        found[self._beyond.size :] = required_distances(self.parts.maximum_distance, clearance)
         return self._but_pushed(found)
 
     def own_required(self, clearance: float) -> Iterator[tuple[ArmPair, float]]:
         """Self-collision pairs, each with its required distance [m]."""
-        required = required_distances(self.parts.farthest, clearance) if self.parts.own else np.zeros(0)
+        required = required_distances(self.parts.maximum_distance, clearance) if self.parts.own else np.zeros(0)
         yield from zip(self.parts.own, required.tolist(), strict=True)
 
     def _but_pushed(self, kept: FloatArray) -> FloatArray:
         """(pairs,) required distances [m]; for compliant obstacles the negative maximum deflection."""
         return kept if self._yielded is None else np.where(self._yielded > 0.0, -self._yielded, kept)
 
-    def counted(self, clearance: float) -> FloatArray:
+    def deflection_offsets(self, clearance: float) -> FloatArray:
         """(pairs,) offsets of distances of compliant obstacles [m].
 
         They make these distances comparable to the clearance.
@@ -324,7 +326,7 @@ class CoalScene:
 
     def pair_distances(self, q: ArrayLike, time_s: float | None = None) -> FloatArray:
         """Signed distances of all `pairs` at one configuration, (dof,) -> (pairs,) [m]."""
-        self._put(time_s)
+        self._move_obstacles(time_s)
         return self._geometry.distances(np.asarray(q, dtype=np.float64)) - self._taken_off
 
     def place(self, q: FloatArray, time_s: float | None = None) -> None:
@@ -336,15 +338,15 @@ class CoalScene:
             MovingObstacleError: Obstacles move, and no time is given.
         """
         if self.moving is not None:
-            self._put(time_s)
+            self._move_obstacles(time_s)
         self._geometry.place(q)
 
-    def _put(self, time_s: float | None) -> None:
+    def _move_obstacles(self, time_s: float | None) -> None:
         """Set the poses of the moving obstacles at a time [s]."""
         if self.moving is not None:
             if time_s is None:
                 raise MovingObstacleError(self.obstacle_names[self.moving.numbers[0]])
-            self._geometry.put(self.moving.places(time_s))
+            self._geometry.move_obstacles(self.moving.places(time_s))
 
     def distances_of(self, pairs: IntArray) -> FloatArray:
         """Signed distances of some `pairs`, (k,) indices -> (k,) [m].
@@ -360,7 +362,7 @@ class CoalScene:
         See `box_bounds`.
         """
         parts, count, obstacles = self.parts, self.own_first, self._built["obstacles"]
-        bodies = self.robot.cached(("boxes", *parts.key), lambda: boxes_about(parts))
+        bodies = self.robot.cache(("boxes", *parts.key), lambda: boxes_about(parts))
         solids = boxes_about_solids(obstacles, self.robot.dof)
         if self.moving is not None:
             solids["radius"][list(self.moving.numbers)] = ANYWHERE
@@ -410,11 +412,11 @@ class CoalScene:
         kind = Contact if obstacle < self.own_first else OwnContact
         return kind(self.mover_names[mover], self.obstacle_names[obstacle], distance)
 
-    def nearest(self, q: ArrayLike, time_s: float | None = None) -> Contact | None:
+    def nearest_contact(self, q: ArrayLike, time_s: float | None = None) -> Contact | None:
         """Contact of the nearest pair; None without pairs."""
         if not self.pairs:
             return None
-        pair, distance = self.nearest_pair(np.asarray(q, dtype=np.float64), -self.counted(0.0), time_s)
+        pair, distance = self.nearest_pair(np.asarray(q, dtype=np.float64), -self.deflection_offsets(0.0), time_s)
         return self.contact(*self.pairs[pair], distance)
 
     def in_collision(self, configurations: ArrayLike, *, margin: float = 0.0) -> BoolArray:
@@ -435,7 +437,7 @@ class CoalScene:
         q = np.asarray(configurations, dtype=np.float64)
         if not self.obstacle_names:
             return np.zeros(len(q), dtype=np.bool_)
-        kept = self.kept(margin) if margin > 0.0 else self._but_pushed(np.full(len(self.pairs), margin))
+        kept = self.required_distance(margin) if margin > 0.0 else self._but_pushed(np.full(len(self.pairs), margin))
         margins = kept + self._taken_off
         # Coal does not support negative margins for trees.
         margins[self._taken_off > 0.0] = np.maximum(0.0, margins[self._taken_off > 0.0])
@@ -446,7 +448,7 @@ def _rebuilt(built: dict[str, Any], touched: Sequence[tuple[str, tuple[str, ...]
     """Rebuild a scene from its constructor arguments and the obstacles of `CoalScene.touching`."""
     scene = CoalScene(**built)
     for name, hangs_from in touched:
-        scene = scene.touching(name, hangs_from)
+        scene = scene.allow_touch(name, hangs_from)
     return scene
 
 

@@ -57,7 +57,7 @@ def solid_shape(obstacle: Convex | Hull) -> pin.GeometryObject:
     if isinstance(obstacle, Sphere):
         placement, shape = pin.SE3(_UNTURNED, np.array(obstacle.center)), coal.Sphere(float(obstacle.radius))
     elif isinstance(obstacle, Capsule):
-        placement, length = _along(np.array(obstacle.start), np.array(obstacle.end))
+        placement, length = _segment_placement(np.array(obstacle.start), np.array(obstacle.end))
         shape = coal.Capsule(float(obstacle.radius), length)
     elif isinstance(obstacle, Cylinder):
         placement = pin.SE3(obstacle.rotation, np.array(obstacle.center))
@@ -88,7 +88,7 @@ def triangle_tree(points: FloatArray, faces: IntArray) -> coal.BVHModelOBBRSS:
     return tree
 
 
-def _along(start: FloatArray, end: FloatArray) -> tuple[pin.SE3, float]:
+def _segment_placement(start: FloatArray, end: FloatArray) -> tuple[pin.SE3, float]:
     """Placement at a segment's middle, z along it; its length [m]."""
     axis = end - start
     length = math.sqrt(axis @ axis)  # as `np.linalg.norm`, in a tenth of the time

@@ -4,8 +4,8 @@ Each body is carried by one joint and contains its URDF shape. Spheres, capsules
 capsules: a cylinder with a ball of its radius at either end, on the same link, is one. Any other cylinder becomes its
 circumscribed prism with `_SIDES` sides, and a mesh its convex hull. A closed mesh that fills less than `_FILLED` of
 its hull is decomposed into at most `_PIECES` convex pieces, whose union contains it
-(`hplan.geometry.convex_decomposition`). A hull with more than `MOST_POINTS` vertices is reduced to some of them, and
-grown by the maximum distance of the others.
+(`hplan.geometry.convex_decomposition`). A hull with more than `MOST_BODY_POINTS` vertices is reduced to some of them,
+and grown by the maximum distance of the others.
 
 A body may be larger than its shape in coal (`body_shapes`: the true cylinder, the hull with all vertices);
 `CollisionBody.growth` is an upper bound of the difference.
@@ -28,14 +28,14 @@ from hplan.base.arrays import FloatArray, IntArray, Record, readonly
 from hplan.errors import RobotFileError
 from hplan.geometry.coal_hull import convex_hull_shape, convex_shape
 from hplan.geometry.convex_decomposition import convex_pieces
-from hplan.geometry.hull import CUBE_CORNERS, hull_of, thickening
+from hplan.geometry.hull import CUBE_CORNERS, hull_of, thickening_shifts
 from hplan.robot.model import Robot
 
 #: Joint index of bodies that no joint moves.
 GROUND: Final = -1
 
 #: Maximum number of points of a body.
-MOST_POINTS: Final = 256
+MOST_BODY_POINTS: Final = 256
 
 #: Tolerance of centre and radius of a ball at the end of a cylinder [m].
 _SAME: Final = 1e-9
@@ -60,9 +60,9 @@ class CollisionBody(Record):
     Attributes:
         name: Name of its link in the URDF; several bodies may have the same name.
         joint: Index in `Robot.joint_names` of the joint that carries it; `GROUND` (-1) if no joint moves it.
-        core: (n, 3) points in that joint's frame (Pinocchio's; for the ground, `base_link`), at most `MOST_POINTS` [m]:
-            one for a sphere, two for a capsule, eight for a box in the order of `hplan.geometry.hull.CUBE_CORNERS`
-            ((-1, -1, -1) ... (1, 1, 1)), and the vertices of the hull for all others.
+        core: (n, 3) points in that joint's frame (Pinocchio's; for the ground, `base_link`) [m], at most
+            `MOST_BODY_POINTS`: one for a sphere, two for a capsule, eight for a box in the order of
+            `hplan.geometry.hull.CUBE_CORNERS`, and the vertices of the hull for all others.
         rounding: Radius around the core [m].
         kind: `sphere`, `capsule`, `box`, `cylinder`, `mesh` (a convex one), `mesh hull` or `mesh piece`.
         exact: True if it equals the URDF's shape, up to rounding errors.
@@ -89,7 +89,7 @@ def collision_bodies(robot: Robot) -> tuple[CollisionBody, ...]:
     Raises:
         RobotFileError: A shape has a kind that URDF does not define, or a mesh has no volume and cannot be thickened.
     """
-    return tuple(body for body, _ in _made(robot))
+    return tuple(body for body, _ in _build_bodies(robot))
 
 
 def body_shapes(robot: Robot) -> tuple[pin.GeometryObject, ...]:
@@ -98,7 +98,7 @@ def body_shapes(robot: Robot) -> tuple[pin.GeometryObject, ...]:
     It is the URDF's shape itself, the capsule of a cylinder and two balls, or the convex hull of a mesh (or of its
     piece) with all vertices. Names are the bodies' names with a number.
     """
-    return tuple(shape for _, shape in _made(robot))
+    return tuple(shape for _, shape in _build_bodies(robot))
 
 
 def reuse_bodies(robot: Robot, before: Robot) -> None:
@@ -111,11 +111,11 @@ def reuse_bodies(robot: Robot, before: Robot) -> None:
         before: A robot with the same links and joints, whose shapes are the first shapes of `robot`.
     """
     first = len(before.collision_model.geometryObjects)
-    robot.cached("collision_bodies", lambda: [*_made(before), *_bodies_from(robot, first)])
+    robot.cache("collision_bodies", lambda: [*_build_bodies(before), *_bodies_from(robot, first)])
 
 
-def _made(robot: Robot) -> list[tuple[CollisionBody, pin.GeometryObject]]:
-    return robot.cached("collision_bodies", lambda: list(_bodies_from(robot, 0)))
+def _build_bodies(robot: Robot) -> list[tuple[CollisionBody, pin.GeometryObject]]:
+    return robot.cache("collision_bodies", lambda: list(_bodies_from(robot, 0)))
 
 
 def _bodies_from(robot: Robot, first: int) -> Iterator[tuple[CollisionBody, pin.GeometryObject]]:
@@ -219,7 +219,7 @@ def _mesh(mesh: coal.BVHModelBase) -> tuple[_Solid, ...]:
     """Hull of a mesh, or the hulls of its convex pieces."""
     corners = (mesh.tri_indices(number) for number in range(mesh.num_tris))
     faces = np.array([[three[0], three[1], three[2]] for three in corners], dtype=np.int64)
-    return _of_mesh(np.asarray(mesh.vertices(), dtype=np.float64).tobytes(), faces.tobytes(), MOST_POINTS)
+    return _of_mesh(np.asarray(mesh.vertices(), dtype=np.float64).tobytes(), faces.tobytes(), MOST_BODY_POINTS)
 
 
 # Cached by content: the arms of a workcell, alone and combined into one robot, have the same meshes.
@@ -236,10 +236,10 @@ def _of_mesh(points: bytes, triangles: bytes, most: int) -> tuple[_Solid, ...]:
     """
     vertices = np.frombuffer(points, dtype=np.float64).reshape(-1, 3)
     faces = np.frombuffer(triangles, dtype=np.int64).reshape(-1, 3)
-    thicker = (vertices[:, None] + thickening(vertices)).reshape(-1, 3)
+    thicker = (vertices[:, None] + thickening_shifts(vertices)).reshape(-1, 3)
     judged, is_closed = convex_hull_shape(vertices), _is_closed(faces)
     if is_closed:
-        faces = _outward(vertices, faces)
+        faces = _orient_triangles(vertices, faces)
     filled = float(_volumes(vertices, faces).sum()) / float(judged.computeVolume())
     if filled < _FILLED and is_closed:
         pieces = convex_pieces(vertices, faces, most=_PIECES).hulls
@@ -276,7 +276,7 @@ def _volumes(vertices: FloatArray, faces: IntArray) -> FloatArray:
     return volumes
 
 
-def _outward(vertices: FloatArray, faces: IntArray) -> IntArray:
+def _orient_triangles(vertices: FloatArray, faces: IntArray) -> IntArray:
     """Triangles of a closed surface, with every connected part facing outward.
 
     Parts face inward if a scale mirrors them or if they bound a cavity. Cavities then count as solid.

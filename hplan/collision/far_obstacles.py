@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from hplan.base.arrays import FloatArray
-from hplan.collision.reach import reach_ball
+from hplan.collision.reach import workspace_ball
 from hplan.errors import FarObstacleWarning
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Scene
@@ -28,7 +28,7 @@ def far_obstacles(robot: Robot, scene: Scene) -> tuple[str, ...]:
     """
     if scene.moves:
         return ()
-    *centre, reach = reach_ball(robot).tolist()
+    *centre, reach = workspace_ball(robot).tolist()
     items = (*scene.obstacles, *scene.fruits)
     if all(_is_beyond(item, np.array(centre), _MANY_REACHES * reach) for item in items):
         return tuple(item.name for item in items)

@@ -66,7 +66,7 @@ JOINT = np.dtype(
 )
 
 #: A body with at most this number of coordinates is exactly its bounding capsule.
-THIN = 6
+CAPSULE_COORDINATES = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ class FlatBodies(Record):
     points: FloatArray
 
     @classmethod
-    def of(cls, robot: Robot, own_clearance: float = 0.0, deviation: float = 0.0) -> FlatBodies:
+    def build(cls, robot: Robot, own_clearance: float = 0.0, deviation: float = 0.0) -> FlatBodies:
         """Flatten the bodies of a robot.
 
         Args:
@@ -98,7 +98,7 @@ class FlatBodies(Record):
             deviation: Maximum deviation of every joint [rad, m]; bodies are grown by their displacement bound.
         """
         parts = folds(robot, deviation, own_clearance)
-        still = robot.cached(("flat bodies", parts), lambda: _of_bodies(robot, parts))
+        still = robot.cache(("flat bodies", parts), lambda: _of_bodies(robot, parts))
         farthest = np.append(self_pairs(robot).farthest, [part.farthest for part in parts])
         kept = np.append(np.zeros(len(still.bodies)), required_distances(farthest, own_clearance))
         bodies, pairs = thicker(still.bodies, still.pairs, deviation * still.reaches.sum(axis=1) + kept)

@@ -23,7 +23,13 @@ import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.collision.coal_shapes import solid_shape
-from hplan.collision.collision_bodies import MOST_POINTS, CollisionBody, body_shapes, capsule_about, collision_bodies
+from hplan.collision.collision_bodies import (
+    MOST_BODY_POINTS,
+    CollisionBody,
+    body_shapes,
+    capsule_about,
+    collision_bodies,
+)
 from hplan.collision.reach import joint_axis
 from hplan.collision.touching_pairs import BEARING, SLACK, one_joint, rounded_up, self_pairs
 from hplan.geometry.coal_hull import convex_hull_shape
@@ -67,7 +73,7 @@ def folds(robot: Robot, deviation: float, clearance: float) -> tuple[Fold, ...]:
         clearance: Required clearance [m].
     """
     most_known = 32
-    decide = robot.cached("folds", lambda: lru_cache(most_known)(partial(_folds, robot)))
+    decide = robot.cache("folds", lambda: lru_cache(most_known)(partial(_folds, robot)))
     return decide(rounded_up(deviation), max(float(clearance), 0.0))
 
 
@@ -107,10 +113,10 @@ def _parts_beyond(robot: Robot, hinge: tuple[int, int, int], deviation: float, c
             continue
         shape = _shape(f"{body.name}:{whole}:beyond", shapes[whole].parentJoint, part, rounding)
         near = one_joint(robot, (shape, shapes[other]), joint, deviation)
-        if near.always(0.0) or not near.ever(SLACK + clearance):
+        if near.is_always_within(0.0) or not near.may_reach(SLACK + clearance):
             continue
         level = max(clearance, BEARING)
-        farthest = level if near.always(level) else np.inf
+        farthest = level if near.is_always_within(level) else np.inf
         yield Fold(_body(body, part, rounding), shape, whole, other, farthest)
 
 
@@ -147,6 +153,6 @@ def _body(body: CollisionBody, points: FloatArray, rounding: float) -> Collision
     """Collision body of the hull of some points of another, grown by a radius."""
     if len(points) == 2:
         return CollisionBody(body.name, body.joint, frozen(points), rounding, "capsule", True, 0.0, ())
-    hull = hull_of(points, most=MOST_POINTS)
+    hull = hull_of(points, most=MOST_BODY_POINTS)
     growth = hull.rounding
     return CollisionBody(body.name, body.joint, hull.core, rounding + growth, "part", growth == 0.0, growth, ())

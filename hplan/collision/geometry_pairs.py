@@ -164,7 +164,7 @@ class GeometryPairs:
             self._geometries.append(own.geometry)
             self._numbers.append(first_own + np.arange(len(own.geometry.collisionPairs)))
         self.count = sum(map(len, self._numbers)) + len(movers) * len(self._clouds)
-        self._movers = [BareShape.of(shape.geometry) for shape in movers] if bare is None else bare
+        self._movers = [BareShape.strip(shape.geometry) for shape in movers] if bare is None else bare
         self._query = _QueryData(model, self._geometries, own, bool(self._clouds))
         # Model of each pair and its index there; pairs with clouds have no model and are numbered body by body.
         self._part_of = np.full(self.count, -1, dtype=np.int64)
@@ -185,12 +185,12 @@ class GeometryPairs:
             pin.updateGeometryPlacements(self._model, arm, self._geometries[0], part.geometry, q)
             part.placed = query.placed
             if query.elsewhere:
-                _put(part, query.elsewhere[0])
+                _move_shapes(part, query.elsewhere[0])
             return
         pin.forwardKinematics(self._model, query.arm, q)
         query.placed = object()
 
-    def put(self, places: Iterable[tuple[int, pin.SE3]]) -> None:
+    def move_obstacles(self, places: Iterable[tuple[int, pin.SE3]]) -> None:
         """Move obstacles, by index, in this thread until the next call.
 
         The caller must place the arm next.
@@ -208,7 +208,7 @@ class GeometryPairs:
         query = self._query
         found = np.empty(self.count)
         for part, (geometry, numbers) in enumerate(zip(self._geometries, self._numbers, strict=True)):
-            pin.computeDistances(geometry, self._placed(query, part))
+            pin.computeDistances(geometry, self._placed_data(query, part))
             found[numbers] = [result.min_distance for result in query.parts[part].results]
         for local, number in enumerate(self._of_clouds.tolist()):
             found[number] = self._cloud_distance(query, local)
@@ -227,7 +227,7 @@ class GeometryPairs:
                 found.append(self._cloud_distance(query, local))
                 continue
             data = query.parts[part]
-            placed = data.geometry if data.placed is query.placed else self._placed(query, part)
+            placed = data.geometry if data.placed is query.placed else self._placed_data(query, part)
             found.append(pin.computeDistance(geometries[part], placed, local).min_distance)
         return np.array(found, dtype=np.float64)
 
@@ -257,19 +257,19 @@ class GeometryPairs:
     def _cloud_distance(self, query: _QueryData, local: int) -> float:
         """Signed distance of a cloud pair at the last placement [m]."""
         mover, cloud = divmod(local, len(self._clouds))
-        place = self._placed(query, 0).oMg[mover]
+        place = self._placed_data(query, 0).oMg[mover]
         if cloud in query.clouds:
             place = query.clouds[cloud] * place
         return self._clouds[cloud][1].distance(self._movers[mover], place)
 
-    def _placed(self, query: _QueryData, part: int) -> pin.GeometryData:
+    def _placed_data(self, query: _QueryData, part: int) -> pin.GeometryData:
         """Return a model's data with its shapes at the last placement."""
         data = query.parts[part]
         if data.placed is not query.placed:
             pin.updateGeometryPlacements(self._model, query.arm, self._geometries[part], data.geometry)
             data.placed = query.placed
             if part in query.elsewhere:
-                _put(data, query.elsewhere[part])
+                _move_shapes(data, query.elsewhere[part])
         return data.geometry
 
 
@@ -287,7 +287,7 @@ def _add_pairs(
         geometry.addCollisionPair(pin.CollisionPair(places[id(first)], places[id(second)]))
 
 
-def _put(part: _PartData, places: Sequence[tuple[int, pin.SE3]]) -> None:
+def _move_shapes(part: _PartData, places: Sequence[tuple[int, pin.SE3]]) -> None:
     """Move shapes, by index, after Pinocchio has placed them by the model."""
     for number, place in places:
         part.geometry.oMg[number] = place

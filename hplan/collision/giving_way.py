@@ -47,7 +47,7 @@ class LinkedSolids(Record):
     joints: BoolArray | None = None
 
     @classmethod
-    def of(
+    def build(
         cls,
         robot: Robot,
         solids: Sequence[Solid],
@@ -71,10 +71,10 @@ class LinkedSolids(Record):
             OptionError: A name in `yield_links` is not a moving link.
         """
         grown = np.broadcast_to(np.asarray(growth, dtype=np.float64), (len(solids),))
-        depth, clear = yielded(robot, solids, yield_links, hanging), _unsupported(robot, solids)
+        depth, clear = maximum_deflection(robot, solids, yield_links, hanging), _unsupported(robot, solids)
         if depth is None:
             return cls(tuple(solids), frozen(grown.copy()), None if clear.all() else frozen(clear))
-        pushing = _pushing(robot, pushing_links(robot, yield_links))
+        pushing = _pushing_joints(robot, pushing_links(robot, yield_links))
         firm, soft = np.flatnonzero(depth == 0.0), np.flatnonzero(depth)
         smaller = np.broadcast_to(np.asarray(beyond, dtype=np.float64), (len(solids),)) - depth
         order = np.concatenate([firm, soft, soft])
@@ -85,7 +85,7 @@ class LinkedSolids(Record):
 
     def field(self, robot: Robot, *, own_clearance: float | None = None, deviation: float = 0.0) -> ClearanceField:
         """Clearance field of the arm among the solids (see `ClearanceField.of`)."""
-        return ClearanceField.of(
+        return ClearanceField.build(
             robot,
             self.solids,
             clearance=self.growth,
@@ -94,7 +94,7 @@ class LinkedSolids(Record):
             joints=self.joints,
         )
 
-    def named(self, names: Collection[str]) -> BoolArray:
+    def name_mask(self, names: Collection[str]) -> BoolArray:
         """(n,) mask of the solids with one of the given names."""
         return np.array([solid.name in names for solid in self.solids], dtype=np.bool_)
 
@@ -115,7 +115,7 @@ def check_yield_links(robot: Robot, names: Sequence[str] | None) -> None:
         OptionError: A name is not a moving link of the robot; the message lists the moving links.
     """
     for name in names or ():
-        known = _names(robot)
+        known = _moving_link_names(robot)
         if name not in known:
             expected = f"moving links: {', '.join(known)}"
             close = get_close_matches(name, known, 1)
@@ -140,7 +140,7 @@ def pushing_links(robot: Robot, names: Sequence[str] | None) -> tuple[str, ...]:
     return tuple(names)
 
 
-def yielded(
+def maximum_deflection(
     robot: Robot, solids: Sequence[Solid], yield_links: Sequence[str] | None, hanging: Collection[str] = ()
 ) -> FloatArray | None:
     """Maximum deflection of each solid, (solids,) [m]; None if all are rigid.
@@ -169,7 +169,7 @@ def yielded(
     return found
 
 
-def _names(robot: Robot) -> tuple[str, ...]:
+def _moving_link_names(robot: Robot) -> tuple[str, ...]:
     """Names of the moving links with collision shapes, without decomposing meshes."""
     shapes = (shape for shape in robot.collision_model.geometryObjects if shape.parentJoint > 0)
     return tuple(dict.fromkeys(str(robot.model.frames[shape.parentFrame].name) for shape in shapes))
@@ -180,7 +180,7 @@ def _links(robot: Robot) -> dict[str, int]:
     return {body.name: body.joint for body in collision_bodies(robot) if body.joint != GROUND}
 
 
-def _pushing(robot: Robot, names: Sequence[str]) -> BoolArray:
+def _pushing_joints(robot: Robot, names: Sequence[str]) -> BoolArray:
     """(dof,) mask of the joints whose links all may push compliant obstacles."""
     known = _links(robot)
     found = np.zeros(robot.dof, dtype=np.bool_)

@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hplan.base.arrays import FloatArray, TableArray
-from hplan.base.kernels import any_int, inlined, kernel
+from hplan.base.kernels import any_int, inline, kernel
 from hplan.collision import obstacle_rows as row
 from hplan.collision.body_kernels import (
     NO_TABLE,
@@ -48,14 +48,14 @@ from hplan.geometry.segment_distance import point_segment
 from hplan.geometry.sweep import Sweep, used_up
 from hplan.geometry.vectors import Vector, cross, dot, sub, turned_back, vector_of
 
-_FIRST_ROW = any_int(0)
+_FIRST_COVER_ROW = any_int(0)
 
 #: Relative tolerance: a distance may be returned too small by this fraction of itself.
 _ROUGH = 2e-2
 
 #: The lower bound is close enough to the distance if its square is at least this multiple of the vector's squared
 #: length.
-_SURELY = (1.0 - _ROUGH) ** 2
+_SURELY_ROUGH = (1.0 - _ROUGH) ** 2
 
 
 class Part(NamedTuple):
@@ -123,7 +123,7 @@ def part_shown_clear(q: FloatArray, rates: FloatArray, moving: Moving, back: flo
                 ball, axis = bodies[k].ball_radius, bodies[k].axis_radius
                 lasts = margin + max(part.back, part.forward) * bends[k, 0]
                 start, along = segment_of(placed, k)
-                s = _FIRST_ROW
+                s = _FIRST_COVER_ROW
                 while s < len(solids):
                     solid = solids[s]
                     centre = vector_of(solid.centre)
@@ -147,12 +147,12 @@ def part_shown_clear(q: FloatArray, rates: FloatArray, moving: Moving, back: flo
     return part
 
 
-@inlined
+@inline
 def _spin(frames: FloatArray, joint: int) -> Vector:
     return frames[joint, TWIST], frames[joint, TWIST + 1], frames[joint, TWIST + 2]
 
 
-@inlined
+@inline
 def _drift(frames: FloatArray, joint: int) -> Vector:
     return frames[joint, TWIST + 3], frames[joint, TWIST + 4], frames[joint, TWIST + 5]
 
@@ -182,7 +182,7 @@ class _Motion(NamedTuple):
 
 
 @kernel
-def _farthest(motion: _Motion, part: Part) -> float:
+def _sufficient_distance(motion: _Motion, part: Part) -> float:
     """Distance sufficient for a segment in any direction of motion [m]."""
     back, forward, bend = part.back, part.forward, 0.5 * motion.bend
     after = min(forward * motion.most, forward * motion.speed + forward * forward * bend)
@@ -201,7 +201,7 @@ def _sweep(motion: _Motion, part: Part) -> Sweep:
 
 
 @kernel
-def _lasting(clear: float, speed: float, most: float, bend: float, asked: float) -> float:
+def _clearance_duration(clear: float, speed: float, most: float, bend: float, asked: float) -> float:
     """Duration that a clearance lasts, at most the requested one."""
     lasts: float = asked
     if clear < most * lasts:
@@ -216,7 +216,7 @@ def _lasting(clear: float, speed: float, most: float, bend: float, asked: float)
 
 
 @kernel
-def _left(motion: _Motion, direction: Vector, distance: float, part: Part) -> Part:
+def _verified_segment(motion: _Motion, direction: Vector, distance: float, part: Part) -> Part:
     """Part of a segment verified by two bodies' separation along a direction."""
     if not distance >= motion.margin:
         return Part(-1.0, -1.0)
@@ -227,8 +227,8 @@ def _left(motion: _Motion, direction: Vector, distance: float, part: Part) -> Pa
         along = dot(direction, motion.velocity) / length
         turning = motion.core * math.sqrt(dot(across, across)) / length
     return Part(
-        _lasting(distance - 0.5 * motion.margin, turning + along, motion.most, motion.bend, part.back),
-        _lasting(distance - 0.5 * motion.margin, turning - along, motion.most, motion.bend, part.forward),
+        _clearance_duration(distance - 0.5 * motion.margin, turning + along, motion.most, motion.bend, part.back),
+        _clearance_duration(distance - 0.5 * motion.margin, turning - along, motion.most, motion.bend, part.forward),
     )
 
 
@@ -248,7 +248,7 @@ def _of_body(moving: Moving, b: int, first: int, part: Part) -> Part:
     velocity = (at_origin[0] + moved[0], at_origin[1] + moved[1], at_origin[2] + moved[2])
     speed = math.sqrt(dot(velocity, velocity)) + core * math.sqrt(dot(spin, spin))
     motion = _Motion(velocity, spin, core, speed, moving.bends[b, 0], moving.bends[b, 1], moving.margin)
-    enough = _farthest(motion, part)
+    enough = _sufficient_distance(motion, part)
     following = first
     while following < len(solids):
         s = following
@@ -270,8 +270,12 @@ def _of_body(moving: Moving, b: int, first: int, part: Part) -> Part:
                     away, clear = (x, y, z), shown - solid.radius - thickness
                     if clear >= enough or clear >= used_up(_sweep(motion, part), away, math.sqrt(dot(away, away))):
                         continue
-                    is_known = thin and shown * shown >= _SURELY * dot(away, away)
-            part = _left(motion, away, clear, part) if is_known else _of_row(moving, (b, s), away, motion, part)
+                    is_known = thin and shown * shown >= _SURELY_ROUGH * dot(away, away)
+            part = (
+                _verified_segment(motion, away, clear, part)
+                if is_known
+                else _of_row(moving, (b, s), away, motion, part)
+            )
         elif kind == row.JOINT_RANGE:
             if not solid.first <= joint <= solid.last:
                 following = solid.next
@@ -282,7 +286,7 @@ def _of_body(moving: Moving, b: int, first: int, part: Part) -> Part:
         if part.forward < 0.0:
             break
         if part.forward < before.forward or part.back < before.back:
-            enough = _farthest(motion, part)
+            enough = _sufficient_distance(motion, part)
     return part
 
 
@@ -321,7 +325,7 @@ def _of_hull(moving: Moving, k: int, other: tuple[FloatArray, Span, float], moti
     if distance == math.inf:
         return part
     direction = (work[SEPARATING], work[SEPARATING + 1], work[SEPARATING + 2])
-    return _left(motion, direction, distance - radii, part)
+    return _verified_segment(motion, direction, distance - radii, part)
 
 
 @kernel
@@ -354,7 +358,7 @@ def _of_lot(moving: Moving, place: tuple[int, int], motion: _Motion, part: Part)
         off = _off_axis(placed, k, (data[p], data[p + 1], data[p + 2]))
         if not _is_apart(motion, part, off, radii):
             if thin:
-                part = _left(motion, off, math.sqrt(dot(off, off)) - radii, part)
+                part = _verified_segment(motion, off, math.sqrt(dot(off, off)) - radii, part)
             else:
                 work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = off
                 part = _of_hull(moving, k, (data, (p, p + 3, NO_TABLE), radius), motion, part)
@@ -388,8 +392,8 @@ def _of_pair(moving: Moving, k: int, part: Part) -> Part:
         length = math.sqrt(dot(away, away))
         if clear > 0.0 and clear >= used_up(_sweep(seen, part), away, length):
             return part
-        if is_thin(bodies, i) and is_thin(bodies, j) and shown * shown >= _SURELY * length * length:
-            return _left(seen, away, clear, part)
+        if is_thin(bodies, i) and is_thin(bodies, j) and shown * shown >= _SURELY_ROUGH * length * length:
+            return _verified_segment(seen, away, clear, part)
     # Expressed in the inner body's frame.
     pose = pose_of(frames, inner)
     work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = turned_back(pose, away)
@@ -401,4 +405,4 @@ def _of_pair(moving: Moving, k: int, part: Part) -> Part:
     if distance == math.inf:
         return part
     direction = (work[SEPARATING], work[SEPARATING + 1], work[SEPARATING + 2])
-    return _left(motion, direction, distance - touching, part)
+    return _verified_segment(motion, direction, distance - touching, part)

@@ -16,7 +16,7 @@ from hplan.scene.obstacles import Solid
 from hplan.scene.tracks import Movement
 
 #: Rotations that tilt no axis from the vertical by more than this keep heights.
-_UPRIGHT = 1e-12
+_UPRIGHT_ROTATION = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class MovingSolids(Record):
     movements: tuple[Movement | None, ...]
 
     @classmethod
-    def of(cls, solids: Sequence[Solid], movements: Sequence[Movement | None]) -> MovingSolids | None:
+    def combine(cls, solids: Sequence[Solid], movements: Sequence[Movement | None]) -> MovingSolids | None:
         """Combine obstacles and movements; None if all obstacles are static."""
         if all(movement is None for movement in movements):
             return None
@@ -62,7 +62,7 @@ class MovingSolids(Record):
         """Index and coal pose of each moving obstacle at a time [s]."""
         found = []
         for movement, listed in self._distinct:
-            rotation, shift = movement.at(np.array([time_s]))
+            rotation, shift = movement.displacement_at(np.array([time_s]))
             pose = pin.SE3(rotation[0], shift[0])
             found += [(number, pose * place) for number, place in listed]
         return found
@@ -83,7 +83,7 @@ class MovingSolids(Record):
         for number in self.numbers:
             movement, solid = self.movements[number], self.solids[number]
             if movement is not None:
-                travel = largest_rates(movement.breaks, movement.rates(solid.core, solid.rounding), clock)
+                travel = largest_interval_rates(movement.breaks, movement.rates(solid.core, solid.rounding), clock)
                 travel *= np.diff(clock)
                 group = rows.setdefault(travel.tobytes(), len(rows))
                 group_of[number] = group
@@ -101,15 +101,17 @@ class MovingSolids(Record):
         for number in self.numbers:
             movement, solid = self.movements[number], self.solids[number]
             if movement is not None and below[number]:
-                rotations, shifts = movement.at(movement.breaks)
-                upright = all((np.abs(part.turns[:, :2]) <= _UPRIGHT).all() for part in (movement.own, movement.base))
-                upright &= bool((np.abs(rotations[:, 2, 2] - 1.0) <= _UPRIGHT).all())
+                rotations, shifts = movement.displacement_at(movement.breaks)
+                upright = all(
+                    (np.abs(part.turns[:, :2]) <= _UPRIGHT_ROTATION).all() for part in (movement.own, movement.base)
+                )
+                upright &= bool((np.abs(rotations[:, 2, 2] - 1.0) <= _UPRIGHT_ROTATION).all())
                 top = float(solid.core[:, 2].max()) + solid.rounding + float(shifts[:, 2].max())
                 kept[number] = upright and top <= height
         return kept
 
 
-def largest_rates(breaks: FloatArray, rates: FloatArray, clock: FloatArray) -> FloatArray:
+def largest_interval_rates(breaks: FloatArray, rates: FloatArray, clock: FloatArray) -> FloatArray:
     """Maximum of a piecewise constant function within each interval.
 
     The function is constant between its breaks and 0 outside them.

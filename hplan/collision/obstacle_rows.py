@@ -144,7 +144,7 @@ def rows_of(
     """
     stack = _Stack()
     grown = np.broadcast_to(np.asarray(clearance, dtype=np.float64), (len(obstacles),)).tolist()
-    kinds = zip(enumerate(obstacles), _concerned(len(obstacles), joints), strict=True)
+    kinds = zip(enumerate(obstacles), _joint_words(len(obstacles), joints), strict=True)
     for (is_cloud, _), run in groupby(kinds, lambda numbered: (numbered[0][1].is_point_set, numbered[1])):
         check_deadline()
         of_run = [numbered for numbered, _ in run]
@@ -155,7 +155,7 @@ def rows_of(
                 stack.add(*_for_joints(rows, np.full(len(rows), index), which), data)
             continue
         rows, data = _solid_rows([solid for _, solid in of_run], grown[of_run[0][0] :], stack.numbers)
-        stack.add(*_for_joints(*grouped(rows, np.array([index for index, _ in of_run])), which), data)
+        stack.add(*_for_joints(*group_rows(rows, np.array([index for index, _ in of_run])), which), data)
     return stack.arrays
 
 
@@ -202,7 +202,7 @@ def _round_rows(obstacles: Sequence[Sphere | Capsule], clearances: Sequence[floa
     return rows
 
 
-def grouped(rows: TableArray, owner: IntArray) -> tuple[TableArray, IntArray]:
+def group_rows(rows: TableArray, owner: IntArray) -> tuple[TableArray, IntArray]:
     """Arrange single rows of obstacles below nodes with bounding balls of neighbours.
 
     Args:
@@ -224,7 +224,7 @@ def grouped(rows: TableArray, owner: IntArray) -> tuple[TableArray, IntArray]:
     ends = np.concatenate([*(np.append(starts[1:], count) for starts in (large, small)), np.arange(1, count + 1)])
     nodes = np.zeros(len(large) + len(small), OBSTACLE)
     nodes["kind"] = NODE
-    around = [_around(rows[ordered], firsts) for firsts in (large, small)]
+    around = [_bounding_balls(rows[ordered], firsts) for firsts in (large, small)]
     nodes["centre"], nodes["bound"] = (np.concatenate(parts) for parts in zip(*around, strict=True))
     # Sorted by the first obstacle of each: the larger group before the smaller one before the obstacle.
     order = np.argsort(firsts, kind="stable")
@@ -250,7 +250,7 @@ def _by_neighbourhood(centres: FloatArray, chosen: BoolArray) -> IntArray:
     return numbers[np.argsort(key, kind="stable")]
 
 
-def _around(rows: TableArray, firsts: IntArray) -> tuple[FloatArray, FloatArray]:
+def _bounding_balls(rows: TableArray, firsts: IntArray) -> tuple[FloatArray, FloatArray]:
     """(k, 3) centres and (k,) radii of balls around groups of rows' balls.
 
     Never too small by rounding errors. A group extends from one of `firsts` to the next.
@@ -297,7 +297,7 @@ def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[TableArray, F
     return row, data
 
 
-def _concerned(count: int, joints: BoolArray | None) -> list[bytes]:
+def _joint_words(count: int, joints: BoolArray | None) -> list[bytes]:
     """For each obstacle, the joints that concern it, as a hashable word."""
     return [b""] * count if joints is None else [row.tobytes() for row in joints]
 
@@ -314,7 +314,7 @@ def _for_joints(rows: TableArray, owner: IntArray, joints: BoolArray | None) -> 
     for run in np.split(chosen, np.flatnonzero(np.diff(chosen) > 1) + 1) if len(chosen) else []:
         head = np.zeros(1, OBSTACLE)
         head["kind"], head["first"], head["last"], head["next"] = JOINT_RANGE, run[0], run[-1], len(rows)
-        head["centre"], head["bound"] = _around(rows, np.zeros(1, dtype=np.int64))
+        head["centre"], head["bound"] = _bounding_balls(rows, np.zeros(1, dtype=np.int64))
         block = np.concatenate([head, rows])
         block["next"] += count + 1
         count += len(block)

@@ -130,11 +130,11 @@ def points_reach(robot: Robot, points: FloatArray, joint: int, beyond: float = 0
         beyond: Maximum excess of prismatic joints over their limits [m].
     """
     key = "reach", points.tobytes(), joint, beyond
-    return robot.cached(key, lambda: frozen(_carried(robot, points, joint, beyond)[0]))
+    return robot.cache(key, lambda: frozen(_carry_points(robot, points, joint, beyond)[0]))
 
 
 @made_once
-def reach_ball(robot: Robot) -> FloatArray:
+def workspace_ball(robot: Robot) -> FloatArray:
     """(4,) centre in `base_link` and radius of a workspace ball [m].
 
     It contains all bodies at all configurations.
@@ -144,8 +144,8 @@ def reach_ball(robot: Robot) -> FloatArray:
 
 @made_once
 def tight_reach_ball(robot: Robot) -> FloatArray:
-    """(4,) the smaller of `reach_ball` and a ball about the foot of the second joint on the first joint's axis [m]."""
-    ball, first = reach_ball(robot), robot.model.jointPlacements[1]
+    """(4,) the smaller of `workspace_ball` and a ball about the second joint's foot on the first axis [m]."""
+    ball, first = workspace_ball(robot), robot.model.jointPlacements[1]
     axis, slides = joint_axis(robot, 0)
     if slides or robot.dof < 2 or robot.model.parents[2] != 1:
         return ball
@@ -160,7 +160,7 @@ def _ball_about(robot: Robot, centre: FloatArray) -> FloatArray:
     Distances from the point do not change when the joint rotates.
     """
     bodies = collision_bodies(robot)
-    held = [_carried(robot, body.core, body.joint, 0.0)[1] for body in bodies]
+    held = [_carry_points(robot, body.core, body.joint, 0.0)[1] for body in bodies]
     far = [np.linalg.norm(points - centre, axis=1).max() for points in held]
     largest = max((float(away) + body.rounding for away, body in zip(far, bodies, strict=True)), default=0.0)
     return frozen(np.append(centre, largest * (1.0 + _ROUND_OFF)))
@@ -178,13 +178,13 @@ class _Rings(NamedTuple):
     height: FloatArray
 
     @classmethod
-    def about(cls, axis: FloatArray, radius: FloatArray, height: FloatArray) -> _Rings:
+    def around_axis(cls, axis: FloatArray, radius: FloatArray, height: FloatArray) -> _Rings:
         """Rings on the convex hull of the given ones.
 
         Around an axis through the origin.
         """
         profile = np.column_stack([radius, height])
-        profile = _outline(np.vstack([profile, profile * [-1.0, 1.0]]))
+        profile = _hull_outline(np.vstack([profile, profile * [-1.0, 1.0]]))
         return cls(np.zeros(3), axis, *profile[profile[:, 0] >= 0.0].T)
 
     @property
@@ -198,7 +198,7 @@ class _Rings(NamedTuple):
         return found
 
 
-def _carried(robot: Robot, points: FloatArray, joint: int, beyond: float) -> tuple[FloatArray, FloatArray]:
+def _carry_points(robot: Robot, points: FloatArray, joint: int, beyond: float) -> tuple[FloatArray, FloatArray]:
     """Motion-bound coefficients of points, and a hull of their workspace.
 
     The hull is given by points in `base_link`; it contains the given points at all configurations.
@@ -209,7 +209,7 @@ def _carried(robot: Robot, points: FloatArray, joint: int, beyond: float) -> tup
         if rings is not None and not slides and np.linalg.norm(np.cross(rings.axis, axis)) <= _PARALLEL:
             along = float(rings.place @ axis)
             away = float(np.linalg.norm(rings.place - along * axis))
-            rings = _Rings.about(axis, rings.radius + away, along + float(rings.axis @ axis) * rings.height)
+            rings = _Rings.around_axis(axis, rings.radius + away, along + float(rings.axis @ axis) * rings.height)
         else:
             points = points if rings is None else rings.corners
             if slides:
@@ -217,7 +217,7 @@ def _carried(robot: Robot, points: FloatArray, joint: int, beyond: float) -> tup
                 points, rings = (points[:, None] + ends[:, None] * axis).reshape(-1, 3), None
             else:
                 height = points @ axis
-                rings = _Rings.about(axis, np.linalg.norm(points - height[:, None] * axis, axis=1), height)
+                rings = _Rings.around_axis(axis, np.linalg.norm(points - height[:, None] * axis, axis=1), height)
         found[carrier] = 1.0 if rings is None else float(rings.radius.max()) * (1.0 + _ROUND_OFF)
         placement = robot.model.jointPlacements[carrier + 1]
         if rings is None:
@@ -262,7 +262,7 @@ def carriers(robot: Robot, joint: int) -> tuple[int, ...]:
     return tuple(found)
 
 
-def _outline(points: FloatArray) -> FloatArray:
+def _hull_outline(points: FloatArray) -> FloatArray:
     """Vertices of the convex hull of (n, 2) points.
 
     Up to rounding errors.

@@ -12,7 +12,7 @@ Within **one arm** all pairs are checked, except
 - bodies that always touch: proved by bisection over the joints between them (`_always_touch`), so that no
   configuration could pass a check;
 - bodies on both sides of one joint that cannot touch at any value of it: proved by bisection
-  (`hplan.robot.base_shapes.ever`);
+  (`hplan.robot.base_shapes.may_reach`);
 - bodies on both sides of one joint that are never farther apart than `BEARING`, also proved. They are **assumed** to
   touch by construction: convex shapes of bearings overlap.
 
@@ -37,7 +37,7 @@ import pinocchio as pin
 from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
 from hplan.collision.reach import carriers, joint_axis, joints_between, reach_of
-from hplan.robot.base_shapes import always, coal_distance, ever
+from hplan.robot.base_shapes import coal_distance, is_always_within, may_reach
 from hplan.robot.model import Robot, made_once
 
 #: Maximum distance of the two sides of a bearing; also used for bodies with one link between them [m].
@@ -50,10 +50,10 @@ SLACK: Final = 1e-4
 BEYOND: Final = 0.1
 
 #: Number of random configurations.
-SAMPLES: Final = 10_000
+RANDOM_SAMPLES: Final = 10_000
 
 #: The sampling of a pair stops at this distance [m].
-_FAR: Final = 0.25
+_FAR_PAIR_M: Final = 0.25
 
 #: Maximum number of boxes of joint values, each with a distance query, in `_always_touch`.
 _MOST_BOXES: Final = 4_000
@@ -137,8 +137,8 @@ def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) 
                 hinged.append((*pair, between[0]))
     is_own = [robot.owner_of(bodies[i].name) == robot.owner_of(bodies[j].name) for i, j in left]
     own = [pair for pair, same_arm in zip(left, is_own, strict=True) if same_arm]
-    touching, distances = _sampled(robot, own)
-    farthest = dict(zip(own, np.where(distances >= _FAR, np.inf, distances).tolist(), strict=True))
+    touching, distances = _sample_touching(robot, own)
+    farthest = dict(zip(own, np.where(distances >= _FAR_PAIR_M, np.inf, distances).tolist(), strict=True))
     for pair, touches in zip(own, touching.tolist(), strict=True):
         if touches and _always_touch(robot, pair):
             allowed.append((*pair, f"they touch at all positions of {_joints_in_words(robot, pair)}"))
@@ -154,7 +154,7 @@ def _exemption(robot: Robot, pair: tuple[int, int], beyond: float) -> str | None
     Without one the pair is checked, or requires samples.
     """
     first, second = (collision_bodies(robot)[body] for body in pair)
-    declared = _declared(robot).get(frozenset((first.name, second.name))) if first.name != second.name else None
+    declared = _declared_pairs(robot).get(frozenset((first.name, second.name))) if first.name != second.name else None
     declared = None if declared is None else f"may touch: {declared}"
     if robot.owner_of(first.name) != robot.owner_of(second.name):
         return declared
@@ -169,7 +169,7 @@ def _exemption(robot: Robot, pair: tuple[int, int], beyond: float) -> str | None
 
 
 @made_once
-def _declared(robot: Robot) -> dict[frozenset[str], str]:
+def _declared_pairs(robot: Robot) -> dict[frozenset[str], str]:
     """Reason for each pair of links that are declared to touch."""
     return {frozenset(pair[:2]): pair[2] for pair in robot.may_touch}
 
@@ -232,13 +232,13 @@ class OneJoint(NamedTuple):
     high: float
     rate: float
 
-    def ever(self, level: float) -> bool:
+    def may_reach(self, level: float) -> bool:
         """True if the distance may fall to `level` [m]; False is proved."""
-        return ever(*self, level)
+        return may_reach(*self, level)
 
-    def always(self, level: float) -> bool:
+    def is_always_within(self, level: float) -> bool:
         """True if the distance never exceeds `level` [m]; True is proved."""
-        return always(*self, level)
+        return is_always_within(*self, level)
 
 
 def one_joint(
@@ -286,13 +286,13 @@ def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float
     """Reason for exempting two bodies on one joint; None if checked."""
     shapes, name = (body_shapes(robot)[pair[0]], body_shapes(robot)[pair[1]]), robot.joint_names[joint]
     touching, assumed = _in_contact(robot, joint)
-    if one_joint(robot, shapes, joint, 0.0).always(0.0):
+    if one_joint(robot, shapes, joint, 0.0).is_always_within(0.0):
         return touching
     decided = one_joint(robot, shapes, joint, beyond)
     # Bodies nearer than `SLACK` count as touching: the bisection cannot resolve smaller distances [m].
-    if not decided.ever(SLACK):
+    if not decided.may_reach(SLACK):
         return f"they cannot touch wherever joint {name!r} is"
-    return assumed if decided.always(BEARING) else None
+    return assumed if decided.is_always_within(BEARING) else None
 
 
 def _radius(shape: pin.GeometryObject, placement: pin.SE3, axis: FloatArray) -> float:
@@ -305,12 +305,12 @@ def _radius(shape: pin.GeometryObject, placement: pin.SE3, axis: FloatArray) -> 
     return float(np.linalg.norm(centre - (centre @ axis) * axis)) + float(shape.geometry.aabb_radius)
 
 
-def _sampled(robot: Robot, pairs: list[tuple[int, int]]) -> tuple[BoolArray, FloatArray]:
+def _sample_touching(robot: Robot, pairs: list[tuple[int, int]]) -> tuple[BoolArray, FloatArray]:
     """Pairs that touch at every random configuration, and their maximum sampled distances.
 
     Returns:
         (pairs,) True for pairs that touch at every sample, and (pairs,) maximum distances [m]. The sampling of a pair
-        may stop once its distance is at least `_FAR`.
+        may stop once its distance is at least `_FAR_PAIR_M`.
     """
     touching, farthest = np.ones(len(pairs), dtype=np.bool_), np.full(len(pairs), -np.inf)
     if not pairs:
@@ -322,15 +322,15 @@ def _sampled(robot: Robot, pairs: list[tuple[int, int]]) -> tuple[BoolArray, Flo
         geometry.addCollisionPair(pin.CollisionPair(i, j))
     arm, data = robot.model.createData(), geometry.createData()
     open_pairs = np.arange(len(pairs))
-    few = min(SAMPLES, 500)
-    for number, q in enumerate(np.random.default_rng(0).uniform(robot.lower, robot.upper, (SAMPLES, robot.dof))):
+    few = min(RANDOM_SAMPLES, 500)
+    for number, q in enumerate(np.random.default_rng(0).uniform(robot.lower, robot.upper, (RANDOM_SAMPLES, robot.dof))):
         pin.updateGeometryPlacements(robot.model, arm, geometry, data, q)
         for pair in open_pairs.tolist():
             found = pin.computeDistance(geometry, data, pair).min_distance
             touching[pair] &= found <= 0.0
             farthest[pair] = max(farthest[pair], found)
         # A few samples suffice for the maximum distance, but not to find pairs that always touch.
-        going = touching[open_pairs] | ((farthest[open_pairs] < _FAR) if number < few else False)
+        going = touching[open_pairs] | ((farthest[open_pairs] < _FAR_PAIR_M) if number < few else False)
         open_pairs = open_pairs[going]
         if not len(open_pairs):
             break

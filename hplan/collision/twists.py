@@ -12,7 +12,7 @@ from hplan.geometry.vectors import cross
 TWIST, MOVING = 12, 18
 
 #: Represents an unbounded acceleration.
-_UNBOUNDED = 1e300
+_UNBOUNDED_ACCELERATION = 1e300
 
 
 @kernel
@@ -48,7 +48,7 @@ def motion_bends(rates: FloatArray, changes: FloatArray, field: FieldArrays, ben
         if k >= len(bodies):
             pair = pairs[k - len(bodies)]
             if not _is_carried(bodies[pair.outer].joint, bodies[pair.inner].joint, joints):
-                bend = _UNBOUNDED
+                bend = _UNBOUNDED_ACCELERATION
         bends[k, 0], bends[k, 1] = speed, bend
 
 

@@ -148,7 +148,8 @@ class MovingObstacleError(InputError):
     def __init__(self, obstacle: str | None, reason: str = "") -> None:
         what = "the base has a track" if obstacle is None else f"obstacle {obstacle!r} has a track"
         reason = (
-            reason or "only scenes without moving bodies are supported; `scene.at(time_s)` is the scene at one time"
+            reason
+            or "only scenes without moving bodies are supported; `scene.snapshot(time_s)` is the scene at one time"
         )
         super().__init__(f"{what}: {reason}", obstacle=obstacle)
 

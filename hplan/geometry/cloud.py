@@ -48,17 +48,17 @@ class Cloud(Record):
     excess: ClassVar[float] = 0.0
 
     @classmethod
-    def of(cls, name: str, points: FloatArray, radius: float, sigma: float = 0.0) -> Cloud:
+    def from_points(cls, name: str, points: FloatArray, radius: float, sigma: float = 0.0) -> Cloud:
         """Return balls about (n, 3) points, n > 0, possibly merged.
 
         Points are merged if that reduces their number considerably.
         """
         # The diagonal of a voxel with this edge is twice the maximum error.
-        core, growth = merged(np.array(points, dtype=np.float64, order="C"), 2.0 * MERGE_ERROR / math.sqrt(3.0))
-        return cls.unmerged(name, core, radius + growth, sigma)
+        core, growth = merge_points(np.array(points, dtype=np.float64, order="C"), 2.0 * MERGE_ERROR / math.sqrt(3.0))
+        return cls.from_all_points(name, core, radius + growth, sigma)
 
     @classmethod
-    def unmerged(cls, name: str, points: FloatArray, radius: float, sigma: float = 0.0) -> Cloud:
+    def from_all_points(cls, name: str, points: FloatArray, radius: float, sigma: float = 0.0) -> Cloud:
         """Return balls about all (n, 3) points, n > 0."""
         from hplan.geometry.cloud_tree import tree_of  # compiled: numba is loaded only for clouds
 
@@ -66,7 +66,7 @@ class Cloud(Record):
         return cls(name, frozen(core), radius, frozen(tree), sigma)
 
 
-def merged(points: FloatArray, edge: float) -> tuple[FloatArray, float]:
+def merge_points(points: FloatArray, edge: float) -> tuple[FloatArray, float]:
     """Merge the points of each voxel if that reduces their number considerably.
 
     The merged point is the centre of their bounding box.

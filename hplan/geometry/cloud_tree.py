@@ -11,16 +11,16 @@ import math
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.base.kernels import inlined, kernel
+from hplan.base.kernels import inline, kernel
 
 #: Number of columns of a node, as in `hplan.geometry.cloud.Cloud`.
-_COLUMNS = 7
+_NODE_COLUMNS = 7
 
 #: Number of low bits that hold a point's index; the bits above hold its Morton code, so one sort orders both.
 _NUMBER = 26
 
 
-@inlined
+@inline
 def _every_third(cell: int) -> int:
     """Spread the lowest 16 bits, with two zero bits after each."""
     bits = (cell | (cell << 16)) & 0x0000FF0000FF
@@ -29,7 +29,7 @@ def _every_third(cell: int) -> int:
     return (bits | (bits << 2)) & 0x249249249249
 
 
-@inlined
+@inline
 def _bounds(points: FloatArray, first: int, last: int) -> tuple[float, float, float, float, float, float]:
     """Minimum and maximum coordinates of points[first:last]."""
     x, y, z = right, far, top = points[first, 0], points[first, 1], points[first, 2]
@@ -41,7 +41,7 @@ def _bounds(points: FloatArray, first: int, last: int) -> tuple[float, float, fl
 
 
 @kernel
-def _places(points: FloatArray) -> IntArray:
+def _sort_keys(points: FloatArray) -> IntArray:
     """Sort keys of (n, 3) points: Morton code, then `_NUMBER` index bits.
 
     Returns:
@@ -77,7 +77,7 @@ def _first_after(places: IntArray, first: int, last: int) -> int:
 @kernel
 def _nodes(points: FloatArray, places: IntArray, leaf: int) -> FloatArray:
     count, fewest = points.shape[0], leaf // 4
-    nodes = np.empty((1 + 2 * (count // fewest), _COLUMNS))
+    nodes = np.empty((1 + 2 * (count // fewest), _NODE_COLUMNS))
     # The stack holds the pending intervals of each node; a finished node gets the index of the next node, and its
     # bounding box is kept.
     stack, boxes = np.empty((3 * 64, 3), dtype=np.int64), np.empty((64, 6))
@@ -92,7 +92,7 @@ def _nodes(points: FloatArray, places: IntArray, leaf: int) -> FloatArray:
             for axis in range(3):
                 boxes[done - 1, axis] = min(boxes[done - 1, axis], boxes[done, axis])
                 boxes[done - 1, 3 + axis] = max(boxes[done - 1, 3 + axis], boxes[done, 3 + axis])
-            _around(nodes, boxes[done - 1], closes)
+            _write_bounding_ball(nodes, boxes[done - 1], closes)
             continue
         nodes[number, 0], nodes[number, 1], nodes[number, 2] = first, last, number + 1
         if last - first > leaf:
@@ -116,7 +116,7 @@ def _nodes(points: FloatArray, places: IntArray, leaf: int) -> FloatArray:
 
 
 @kernel
-def _around(nodes: FloatArray, box: FloatArray, number: int) -> None:
+def _write_bounding_ball(nodes: FloatArray, box: FloatArray, number: int) -> None:
     """Write a bounding ball of a node's children, centred in their box."""
     square, farthest, node = 0.0, 0.0, nodes[number]
     for axis in range(3):
@@ -139,7 +139,7 @@ def tree_of(points: FloatArray, leaf: int) -> tuple[FloatArray, FloatArray]:
     Returns:
         (n, 3) sorted points, and (nodes, 7) nodes, as in `hplan.geometry.cloud.Cloud`.
     """
-    places = _places(points)
+    places = _sort_keys(points)
     places.sort()
     core: FloatArray = np.take(points, places & ((1 << _NUMBER) - 1), axis=0)
     return core, _nodes(core, places, leaf)

@@ -35,7 +35,7 @@ from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.disk_cache import cached_arrays
 from hplan.geometry import hull
-from hplan.geometry.hull import CUBE_CORNERS, THIN, Hull, hull_of, shared_edges, thickening, triangle_normals
+from hplan.geometry.hull import CUBE_CORNERS, THIN, Hull, hull_of, shared_edges, thickening_shifts, triangle_normals
 
 #: Maximum number of convex parts of a mesh.
 PIECES: Final = 64
@@ -208,7 +208,7 @@ def _part(low: FloatArray, high: FloatArray, triangles: FloatArray, surface: Flo
     points = np.unique(np.concatenate([triangles.reshape(-1, 3), inside]), axis=0)
     if len(points) == 0:
         return None
-    thicker = thickening(points)
+    thicker = thickening_shifts(points)
     points = (points[:, None] + thicker).reshape(-1, 3)
     try:
         hull = hull_of(points)
@@ -234,7 +234,7 @@ def _halves(part: _ClippedPart, places: list[FloatArray], surface: FloatArray) -
     """Cut a part in two; None if no cut remains."""
     low, high = part.extent
     extent = high - low
-    folds = [_between(found, low[axis], high[axis], 2.0 * _NUDGE) for axis, found in enumerate(places)]
+    folds = [_places_between(found, low[axis], high[axis], 2.0 * _NUDGE) for axis, found in enumerate(places)]
     # Few folds indicate a solid made of blocks: with cuts at the folds only, the parts are the blocks.
     angular = sum(map(len, folds)) > 0 and max(map(len, folds)) <= _PLACES
     whole = max(part.rough_volume(part.triangles), 1e-300)
@@ -249,9 +249,9 @@ def _halves(part: _ClippedPart, places: list[FloatArray], surface: FloatArray) -
         if not angular:
             some = here[np.linspace(0, len(here) - 1, min(len(here), _PLACES)).round().astype(int)]
             here = np.concatenate([some, low[axis] + extent[axis] * np.array([0.25, 0.5, 0.75])])
-            here = _between(np.unique(here), low[axis], high[axis], max(2.0 * _NUDGE, 1e-3 * extent[axis]))
+            here = _places_between(np.unique(here), low[axis], high[axis], max(2.0 * _NUDGE, 1e-3 * extent[axis]))
         for at in here.tolist():
-            below, above = (_clipped(part.triangles, axis, at, side) for side in (-1.0, 1.0))
+            below, above = (_clip(part.triangles, axis, at, side) for side in (-1.0, 1.0))
             volumes = part.rough_volume(below), part.rough_volume(above)
             cost = (sum(volumes) + evenness * abs(volumes[0] - volumes[1])) / whole
             cost += short_side * (1.0 - extent[axis] / extent.max())
@@ -264,23 +264,23 @@ def _halves(part: _ClippedPart, places: list[FloatArray], surface: FloatArray) -
     for side in (-1.0, 1.0):
         lower, upper = part.low.copy(), part.high.copy()
         (upper if side < 0.0 else lower)[axis] = at
-        halves.append(_part(lower, upper, _clipped(part.triangles, axis, at, side), surface))
+        halves.append(_part(lower, upper, _clip(part.triangles, axis, at, side), surface))
     return tuple(half for half in halves if half is not None)
 
 
-def _between(places: FloatArray, low: float, high: float, gap: float) -> FloatArray:
+def _places_between(places: FloatArray, low: float, high: float, gap: float) -> FloatArray:
     """Places between two bounds, at least `gap` away from either."""
     return places[(places > low + gap) & (places < high - gap)]
 
 
-def _directions() -> FloatArray:
+def _fixed_directions() -> FloatArray:
     grid = np.array([(x, y, z) for x in range(-2, 3) for y in range(-2, 3) for z in range(-2, 3)], dtype=np.float64)
     shell = grid[np.abs(grid).max(axis=1) == 2]
     directions: FloatArray = shell / np.linalg.norm(shell, axis=1, keepdims=True)
     return directions
 
 
-_SUPPORTS: Final = _directions()
+_SUPPORTS: Final = _fixed_directions()
 
 
 def _rough_volume(points: FloatArray) -> float:
@@ -301,7 +301,7 @@ def _rough_volume(points: FloatArray) -> float:
         return 0.0
 
 
-def _clipped(triangles: FloatArray, axis: int, at: float, side: float) -> FloatArray:
+def _clip(triangles: FloatArray, axis: int, at: float, side: float) -> FloatArray:
     """Clip triangles to one side of a plane.
 
     The side is `side * (coordinate - at) > 0`.

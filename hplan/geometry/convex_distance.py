@@ -25,7 +25,7 @@ import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.base.kernels import any_int, inlined, kernel
+from hplan.base.kernels import any_int, inline, kernel
 from hplan.geometry.hull import CUBE_CORNERS
 from hplan.geometry.sweep import STILL, Sweep, used_up
 from hplan.geometry.vectors import Pose, Vector, cross, dot, placed_point, sub, turned_back
@@ -189,7 +189,7 @@ def core_distance(
         work[at], work[at + 1], work[at + 2] = w
         work[at + 12], work[at + 13], work[at + 14] = a
         work[number], work[number + 1] = float(p), float(o)
-        size = _reduced(work, size + 1)
+        size = _reduce_simplex(work, size + 1)
         scale = max(scale, dot(w, w))
         direction = (work[NEAREST], work[NEAREST + 1], work[NEAREST + 2])
         before, square = square, dot(direction, direction)
@@ -203,7 +203,7 @@ def core_distance(
     return lower
 
 
-@inlined
+@inline
 def _is_known(work: FloatArray, size: int, p: int, o: int) -> bool:
     """True if a corner of A - B is in the simplex."""
     known = False
@@ -223,13 +223,13 @@ def _find_point_of_first(work: FloatArray, size: int) -> None:
         work[ON_FIRST + c] = value
 
 
-@inlined
+@inline
 def _corner(work: FloatArray, k: int) -> Vector:
     return work[_CORNERS + 3 * k], work[_CORNERS + 3 * k + 1], work[_CORNERS + 3 * k + 2]
 
 
 @kernel
-def _reduced(work: FloatArray, size: int) -> int:
+def _reduce_simplex(work: FloatArray, size: int) -> int:
     """Reduce the simplex to the corners that span its nearest point.
 
     Writes the weights and the nearest point and returns the number of corners; four remain if the origin is inside.

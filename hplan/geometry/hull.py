@@ -140,7 +140,9 @@ class Hull(Record):
         ]
         return frozen(planes), frozen(np.array(rows, dtype=np.float64).reshape(-1, 6))
 
-    def placed(self, rotation: FloatArray, shift: FloatArray, scale: FloatArray | float = 1.0, **changes: Any) -> Hull:
+    def transform(
+        self, rotation: FloatArray, shift: FloatArray, scale: FloatArray | float = 1.0, **changes: Any
+    ) -> Hull:
         """Return the scaled, rotated and shifted hull.
 
         Its facets and edges are transformed too, since they take long to compute.
@@ -182,7 +184,7 @@ def hull_of(points: FloatArray, name: str = "", *, most: int = HULL_VERTICES) ->
         whole = ConvexHull(points)
         corners = points[whole.vertices]
         if len(corners) <= most:
-            return _oriented(name, corners, 0.0)
+            return _small_hull(name, corners, 0.0)
         kept, hull = _some_vertices(corners, most)
     except QhullError as error:
         raise ValueError("the points lie in one plane") from error
@@ -190,16 +192,16 @@ def hull_of(points: FloatArray, name: str = "", *, most: int = HULL_VERTICES) ->
     excess = (corners @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1)
     outside = corners[excess > 0.0]
     rounding = float(_distance_to_triangles(outside, core[hull.simplices]).max(initial=0.0))
-    return _oriented(name, core, rounding)
+    return _small_hull(name, core, rounding)
 
 
 def whole_hull(points: FloatArray, name: str = "", rounding: float = 0.0, sigma: float = 0.0) -> Hull:
     """Convex hull of (n, 3) points with all vertices; thickened if flat."""
-    thicker = (points[:, None] + thickening(points)).reshape(-1, 3)
+    thicker = (points[:, None] + thickening_shifts(points)).reshape(-1, 3)
     return replace(hull_of(thicker, name, most=len(thicker) + 14), rounding=rounding, sigma=sigma)
 
 
-def thickening(points: FloatArray) -> FloatArray:
+def thickening_shifts(points: FloatArray) -> FloatArray:
     """Shifts whose copies give flat (n, 3) points a volume [m].
 
     Returns:
@@ -238,7 +240,7 @@ def _some_vertices(corners: FloatArray, most: int) -> tuple[IntArray, Any]:
         kept = np.union1d(kept, new)
 
 
-def _oriented(name: str, points: FloatArray, rounding: float) -> Hull:
+def _small_hull(name: str, points: FloatArray, rounding: float) -> Hull:
     """Hull of a few points, faces outward, vertices in their order."""
     from scipy.spatial import ConvexHull
 

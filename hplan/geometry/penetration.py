@@ -21,7 +21,7 @@ from hplan.geometry.convex_distance import NEAREST, ON_FIRST, Span, farthest_cor
 from hplan.geometry.vectors import Pose, Vector, cross, dot, placed_point, sub, turned_back
 
 #: Two hulls: point coordinates, range and pose of the first; point coordinates and range of the other.
-Hulls: TypeAlias = tuple[FloatArray, Span, Pose, FloatArray, Span]
+HullPair: TypeAlias = tuple[FloatArray, Span, Pose, FloatArray, Span]
 
 #: Maximum number of corners of the polytope, and of faces ever created.
 _MOST, _FACES, _NONE_YET = any_int(64), any_int(1024), any_int(0)
@@ -35,7 +35,7 @@ _STANDS = any_int(3)
 
 
 @kernel
-def penetration(hulls: Hulls, work: FloatArray) -> float:
+def penetration(hulls: HullPair, work: FloatArray) -> float:
     """Penetration depth of two overlapping hulls.
 
     0 if the differences of their points span no volume.
@@ -70,7 +70,7 @@ def penetration(hulls: Hulls, work: FloatArray) -> float:
             break
         corners[count, 0], corners[count, 1], corners[count, 2] = w
         of_first[count, 0], of_first[count, 1], of_first[count, 2] = a
-        made = _grow(corners, count, _ON_FACE * scale, planes, faces, edges, made)
+        made = _grow_hull(corners, count, _ON_FACE * scale, planes, faces, edges, made)
     _find_deepest(corners, of_first, planes, faces[:made], depth + 1e-9 * scale, work)
     return max(0.0, depth) if depth < math.inf else 0.0
 
@@ -104,7 +104,7 @@ def _corner_of(corners: FloatArray, i: int) -> Vector:
 
 
 @kernel
-def _difference(hulls: Hulls, direction: Vector) -> tuple[Vector, Vector]:
+def _difference(hulls: HullPair, direction: Vector) -> tuple[Vector, Vector]:
     """Support corner of A - B in a direction.
 
     Also returns the corner's point of A.
@@ -117,7 +117,7 @@ def _difference(hulls: Hulls, direction: Vector) -> tuple[Vector, Vector]:
 
 
 @kernel
-def _tetrahedron(hulls: Hulls, corners: FloatArray, of_first: FloatArray) -> float:
+def _tetrahedron(hulls: HullPair, corners: FloatArray, of_first: FloatArray) -> float:
     """Write four corners of A - B that span a volume.
 
     Also writes their points of A. Returns the size, 0 if all corners lie in a plane.
@@ -200,7 +200,7 @@ def _nearest_face(planes: FloatArray, faces: IntArray, made: int) -> int:
 
 
 @kernel
-def _grow(
+def _grow_hull(
     corners: FloatArray, count: int, rounding: float, planes: FloatArray, faces: IntArray, edges: IntArray, made: int
 ) -> int:
     """Replace the faces that a corner lies beyond by faces with it."""

@@ -41,7 +41,7 @@ def prism(
     n = _sides(radius)
     widest = radius / math.cos(math.pi / n)
     scale = np.array([widest, widest, 0.5 * length])
-    return _unit_prism(n).placed(rpy_rotation(*map(math.radians, rpy_deg)), np.array(center), scale)
+    return _unit_prism(n).transform(rpy_rotation(*map(math.radians, rpy_deg)), np.array(center), scale)
 
 
 @lru_cache

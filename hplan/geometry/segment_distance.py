@@ -11,14 +11,14 @@ import math
 from typing import TypeAlias
 
 from hplan.base.arrays import FloatArray
-from hplan.base.kernels import inlined, kernel
+from hplan.base.kernels import inline, kernel
 from hplan.geometry.vectors import Vector
 
 #: Vector from a body's point nearest to a segment to the segment's nearest point, and the latter's parameter on it.
 Off: TypeAlias = tuple[float, float, float, float]
 
 
-@inlined
+@inline
 def point_segment(c: Vector, a: Vector, u: Vector) -> float:
     """Distance of a point c from the segment a, a + u."""
     (cx, cy, cz), (ax, ay, az), (ux, uy, uz) = c, a, u
@@ -66,7 +66,7 @@ def off_segment(a: Vector, u: Vector, b: Vector, v: Vector) -> Off:
     return rx + s * ux - t * vx, ry + s * uy - t * vy, rz + s * uz - t * vz, s
 
 
-@inlined
+@inline
 def signed_excess(x: float, half: float) -> float:
     """Signed distance of a coordinate from [-half, half]."""
     return x - half if x > half else (x + half if x < -half else 0.0)

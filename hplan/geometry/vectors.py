@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TypeAlias
 
 from hplan.base.arrays import FloatArray
-from hplan.base.kernels import inlined, kernel
+from hplan.base.kernels import inline, kernel
 
 #: Three coordinates. A tuple stays in registers; an array would be allocated and reference-counted in each call.
 Vector: TypeAlias = tuple[float, float, float]
@@ -14,7 +14,7 @@ Vector: TypeAlias = tuple[float, float, float]
 Pose: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
 
 
-@inlined
+@inline
 def vector_of(numbers: FloatArray) -> Vector:
     """The first three numbers, as a tuple."""
     return numbers[0], numbers[1], numbers[2]
@@ -45,7 +45,7 @@ def moved_on(a: Vector, b: Vector, factor: float) -> Vector:
 
 
 @kernel
-def turned(pose: Pose, d: Vector) -> Vector:
+def rotate(pose: Pose, d: Vector) -> Vector:
     """Rotate a direction by the pose."""
     return (
         pose[0] * d[0] + pose[1] * d[1] + pose[2] * d[2],

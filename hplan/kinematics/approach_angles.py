@@ -28,11 +28,11 @@ class Window(Record):
 
     def holds(self, angle: FloatArray) -> BoolArray:
         """True for angles inside the interval, modulo 2 pi."""
-        inside: BoolArray = above(angle, self.low - WINDOW_TOLERANCE) <= self.width + 2.0 * WINDOW_TOLERANCE
+        inside: BoolArray = angle_above(angle, self.low - WINDOW_TOLERANCE) <= self.width + 2.0 * WINDOW_TOLERANCE
         return inside
 
     @classmethod
-    def of(cls, approach_deg: float | tuple[float, float] | None) -> Window | None:
+    def from_degrees(cls, approach_deg: float | tuple[float, float] | None) -> Window | None:
         """Return the interval for an `approach_deg` argument; None for all angles.
 
         Args:
@@ -67,7 +67,7 @@ class Candidates(Record):
     approach: FloatArray
 
 
-def above(angle: FloatArray, low: FloatArray | float) -> FloatArray:
+def angle_above(angle: FloatArray, low: FloatArray | float) -> FloatArray:
     """Angle minus low, wrapped to [0, 2 pi)."""
     difference: FloatArray = (angle - low) % math.tau
     return difference

@@ -36,7 +36,7 @@ _LEAST = 1e-12
 KEPT, ABOUT_Z, ANY_TURN, UPRIGHT = 0.0, 1.0, 2.0, 3.0
 
 #: A frame tilted too far is brought to within this fraction of the permitted angle.
-_INSIDE = 0.9
+_TILT_FRACTION = 0.9
 
 
 class Chain(NamedTuple):
@@ -202,7 +202,7 @@ def solve(chain: Chain, q: FloatArray) -> bool:
         for j in range(dof):
             tried[j] = min(max(q[j] + step[j], lower[j]), upper[j])
         linearise(chain, tried, frames, tried_error, tried_jacobian)
-        if squared(tried_error) < squared(error):
+        if sum_of_squares(tried_error) < sum_of_squares(error):
             write(tried, q)
             write(tried_error, error)
             for r in range(6):
@@ -224,7 +224,7 @@ def is_there(error: FloatArray) -> bool:
 
 
 @kernel
-def squared(error: FloatArray) -> float:
+def sum_of_squares(error: FloatArray) -> float:
     """Sum of the squares of (6,) numbers."""
     total = 0.0
     for r in range(6):
@@ -282,9 +282,11 @@ def linearise(chain: Chain, q: FloatArray, frames: FloatArray, error: FloatArray
     if turned:
         turn_left(tool, pose, free, error)
     if not placed:
-        lean = math.sqrt(squared(error))
+        lean = math.sqrt(sum_of_squares(error))
         for r in range(3, 6):
-            error[r] = error[r] * (1.0 - _INSIDE * chain.free_turn[1] / lean) if lean > chain.free_turn[1] else 0.0
+            error[r] = (
+                error[r] * (1.0 - _TILT_FRACTION * chain.free_turn[1] / lean) if lean > chain.free_turn[1] else 0.0
+            )
     zx, zy, zz = tool[2], tool[5], tool[8]
     for j in range(q.shape[0]):
         for r in range(6):
@@ -314,7 +316,7 @@ def linearise(chain: Chain, q: FloatArray, frames: FloatArray, error: FloatArray
 
 
 @kernel
-def leaning(configurations: FloatArray, chain: Chain, cosines: FloatArray, slopes: FloatArray) -> None:
+def write_tilt(configurations: FloatArray, chain: Chain, cosines: FloatArray, slopes: FloatArray) -> None:
     """Write the cosine of the tool's tilt, and its gradient.
 
     Args:

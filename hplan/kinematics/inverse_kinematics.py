@@ -16,7 +16,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from hplan.base import ties
-from hplan.base.arguments import list_of, truth, whole
+from hplan.base.arguments import check_integer, list_of, truth
 from hplan.base.arrays import FloatArray, frozen, numbers
 from hplan.collision.flat_bodies import joint_table
 from hplan.collision.reach import carriers, joint_axis
@@ -68,12 +68,12 @@ def inverse_kinematics(
     """
     middle = 0.5 * (robot.lower + robot.upper)
     begin = robot.check_configuration(middle if start is None else start, "start")
-    count = whole("seeds", seeds, 1, MOST_SEEDS)
+    count = check_integer("seeds", seeds, 1, MOST_SEEDS)
     free = truth("free_turn", free_turn)
     keeps = robot.locked_mask(list_of("locked", locked, str, "names"))
     chain = chain_of(robot, checked_pose(pose), ABOUT_Z if free else KEPT, frame)
     chain.moves[keeps] = 0.0
-    starts = spread_starts(robot, begin, chain, count, whole("seed", seed, 0))
+    starts = spread_starts(robot, begin, chain, count, check_integer("seed", seed, 0))
     solutions, found = np.empty(starts.shape), np.zeros(len(starts), dtype=np.bool_)
     solve_all(starts, chain, solutions, found)
     if not found.any():

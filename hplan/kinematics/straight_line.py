@@ -119,7 +119,7 @@ def line_to(
 
 
 @dataclass(frozen=True, eq=False)
-class StraightLine(Record):
+class ToolLine(Record):
     """A straight tool path from the stand-off to the goal.
 
     The parameter is the tool's distance, scaled to `length`.

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.base.arguments import list_of, whole
+from hplan.base.arguments import check_integer, list_of
 from hplan.base.arrays import FloatArray, frozen, numbers
 from hplan.collision.reach import carriers, joint_axis
 from hplan.errors import UnreachableError
@@ -65,15 +65,15 @@ def tool_at_point(
         JointLimitError: The start is outside the joint limits.
         OptionError: An option is invalid.
     """
-    place, window = numbers("position", position, (3,)), Window.of(approach_deg)
-    directions = whole("count", count, 1, MOST_SEEDS)
+    place, window = numbers("position", position, (3,)), Window.from_degrees(approach_deg)
+    directions = check_integer("count", count, 1, MOST_SEEDS)
     middle = 0.5 * (robot.lower + robot.upper)
     begin = robot.check_configuration(middle if start is None else start, "start")
     keeps = robot.locked_mask(list_of("locked", locked, str, "names"))
     _check_reach(robot, place)
     pose = np.eye(4)
     pose[:3, 3] = place
-    outward = _outward(robot, place)
+    outward = _outward_direction(robot, place)
     found: list[FloatArray] = []
     # Minimum number of joints for a position and a tool direction.
     directed = 5
@@ -81,7 +81,7 @@ def tool_at_point(
         chain = pointed(chain_of(robot, pose, turn), robot.tool_axis)
         chain.moves[keeps] = 0.0
         if turn == ANY_TURN or np.count_nonzero(chain.moves) >= directed:
-            found.append(_solved(robot, begin, chain, towards, directions if turn == ANY_TURN else _STARTS))
+            found.append(_solve_directions(robot, begin, chain, towards, directions if turn == ANY_TURN else _STARTS))
     solutions = distinct(robot, np.concatenate(found), begin, chain)
     approach = approach_angles(robot, solutions, place)
     if window is not None:
@@ -104,7 +104,7 @@ def approach_angles(robot: Robot, configurations: FloatArray, position: FloatArr
     They are in (-pi, pi]; `configurations` is (k, dof), `position` is (3,).
     """
     along = robot.forward_kinematics(configurations)[:, :3, :3] @ robot.tool_axis
-    outward = _outward(robot, np.array(position))
+    outward = _outward_direction(robot, np.array(position))
     level = np.copysign(np.hypot(along[:, 0], along[:, 1]), along @ outward)
     angles: FloatArray = np.arctan2(along[:, 2], level)
     return angles
@@ -128,7 +128,7 @@ def _check_reach(robot: Robot, place: FloatArray) -> None:
         raise UnreachableError(place.tolist(), "too_far", detail, excess_m=excess)
 
 
-def _outward(robot: Robot, place: FloatArray) -> FloatArray:
+def _outward_direction(robot: Robot, place: FloatArray) -> FloatArray:
     """(3,) horizontal unit vector from the first joint to a position.
 
     It is the x axis of the base if the position is on the vertical through the joint.
@@ -160,7 +160,7 @@ def _directions(outward: FloatArray, window: Window | None, count: int) -> Float
     return found
 
 
-def _solved(robot: Robot, begin: FloatArray, chain: Chain, directions: FloatArray, count: int) -> FloatArray:
+def _solve_directions(robot: Robot, begin: FloatArray, chain: Chain, directions: FloatArray, count: int) -> FloatArray:
     """(k, dof) configurations at the chain's position along given directions.
 
     The tool axis points along one of the directions.
@@ -173,7 +173,7 @@ def _solved(robot: Robot, begin: FloatArray, chain: Chain, directions: FloatArra
     """
     starts = spread_starts(robot, begin, chain, 1 + len(directions) * (count - 1))
     starts = np.concatenate([np.broadcast_to(begin, (len(directions), robot.dof)), starts[1:]])
-    spinning = _spinning(robot, chain)
+    spinning = _spin_joint(robot, chain)
     starts[:, spinning] = begin[spinning]
     poses = np.zeros((len(starts), 12))
     poses[:, [2, 5, 8]] = directions[np.arange(len(starts)) % len(directions)]
@@ -183,7 +183,7 @@ def _solved(robot: Robot, begin: FloatArray, chain: Chain, directions: FloatArra
     return solutions[found]
 
 
-def _spinning(robot: Robot, chain: Chain) -> list[int]:
+def _spin_joint(robot: Robot, chain: Chain) -> list[int]:
     """Return the joint that only spins the tool, if any.
 
     It rotates the tool about its axis and can keep its value.

@@ -12,7 +12,7 @@ from hplan.base.arrays import BoolArray, FloatArray, Record
 from hplan.collision.collision_bodies import GROUND, collision_bodies
 from hplan.collision.obstacle_rows import convex_solid
 from hplan.robot.model import Robot
-from hplan.scene.obstacle_kind import posed
+from hplan.scene.obstacle_kind import transform_solid
 from hplan.scene.obstacles import Solid
 from hplan.scene.tracks import Poses, Track
 
@@ -30,12 +30,12 @@ class SweptReach(Record):
     radius: float
 
     @classmethod
-    def of(cls, ball: FloatArray, track: Track) -> SweptReach:
+    def sweep(cls, ball: FloatArray, track: Track) -> SweptReach:
         """Sweep a ball fixed to the base along a track.
 
         `ball` is (4,), centre and radius [m].
         """
-        poses = Poses.of(track)
+        poses = Poses.from_track(track)
         offset = ball[:3] - poses.about
         # Upper bound of the centre's travel between two times of the track.
         travel = np.linalg.norm(np.diff(poses.shifts, axis=0), axis=1)
@@ -45,7 +45,7 @@ class SweptReach(Record):
         parts = np.maximum(np.ceil(travel / max(spacing_m, float(travel.sum()) / most_places)), 1.0)
         spans = zip(poses.times[:-1], poses.times[1:], parts.astype(int).tolist(), strict=True)
         clock = np.concatenate([np.linspace(*span, endpoint=False) for span in spans] + [poses.times[-1:]])
-        rotations, places = poses.at(clock)
+        rotations, places = poses.poses_at(clock)
         # Between two samples it is within half of its travel of one of them.
         return cls(places + rotations @ offset, float(ball[3] + 0.5 * (travel / parts).max()))
 
@@ -80,9 +80,9 @@ def arm_solids(robot: Robot, q: FloatArray) -> tuple[Solid, ...]:
     found = []
     for number, body in enumerate(collision_bodies(robot)):
         make = partial(convex_solid, body.name, body.core, body.rounding)
-        solid = robot.cached(("body_solid", number), make)
+        solid = robot.cache(("body_solid", number), make)
         if body.joint != GROUND:
             place = data.oMi[body.joint + 1]
-            solid = posed(solid, place.rotation, place.translation)
+            solid = transform_solid(solid, place.rotation, place.translation)
         found.append(solid)
     return tuple(found)

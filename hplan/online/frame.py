@@ -30,7 +30,7 @@ from hplan.geometry.rotation import rpy_rotation
 from hplan.online.arm_shape import SweptReach, arm_solids
 from hplan.online.body_distances import Bodies, distances_from_bodies
 from hplan.online.frame_kernels import (
-    COUNT,
+    COUNT_COLUMN,
     FAR,
     IGNORED,
     MIDDLE,
@@ -160,7 +160,7 @@ class Frame(Record):
     base_track: Track | None = None
 
     @classmethod
-    def of(
+    def validate(
         cls,
         robot: Robot,
         points: ArrayLike,
@@ -185,7 +185,7 @@ class Frame(Record):
         """
         rotation, position = rigid(pose)
         return cls(
-            points=_points(points),
+            points=_check_points(points),
             radius=number("radius", radius, f"a number of metres > 0 and <= {FARTHEST_M:g}", _is_size),
             rotation=rotation,
             position=position,
@@ -195,7 +195,7 @@ class Frame(Record):
             base_track=base_track,
         )
 
-    def listed(self, points: FloatArray) -> FloatArray:
+    def list_points(self, points: FloatArray) -> FloatArray:
         """(n, 3) listed positions of points in the base frame [m]."""
         if self.base_track is None:
             return points
@@ -203,7 +203,7 @@ class Frame(Record):
         found: FloatArray = points @ rotation.T + shift
         return found
 
-    def seen(self, points: FloatArray) -> FloatArray:
+    def to_base(self, points: FloatArray) -> FloatArray:
         """(n, 3) base-frame positions of listed points [m]."""
         if self.base_track is None:
             return points
@@ -277,7 +277,7 @@ def filter_frame(
     """
     instance("options", options, CloudOptions)
     before = SeenPoints() if before is None else before
-    reach, swept = _reach(robot, frame, options, clearance_m)
+    reach, swept = _relevant_balls(robot, frame, options, clearance_m)
     placement = _placement(frame, options, reach)
     arm = Bodies(*solid_rows([] if frame.joints is None else arm_solids(robot, frame.joints), options.arm_padding_m))
     left_out = Bodies(*solid_rows(ignored, options.ignore_padding_m))
@@ -290,8 +290,8 @@ def filter_frame(
     if swept is not None:
         # The ball around the swept volume is larger than the volume; a point is within this distance of its voxel's
         # point.
-        near = swept.comes_near(frame.listed(points), growth_m)
-        tally[OUT_OF_REACH] += int(voxels[~isolated, COUNT][~near].sum())
+        near = swept.comes_near(frame.list_points(points), growth_m)
+        tally[OUT_OF_REACH] += int(voxels[~isolated, COUNT_COLUMN][~near].sum())
         points = points[near]
     kept = len(points)
     old, forgotten = SeenPoints(), 0
@@ -299,7 +299,7 @@ def filter_frame(
         old, forgotten = _still_hidden(frame, before, (arm, left_out), options)
         growth_m = max(growth_m, old.growth_m)
         points = np.concatenate([points, old.points])
-    points = frozen(frame.listed(points))
+    points = frozen(frame.list_points(points))
     seen_s = np.concatenate([np.full(kept, frame.time_s), old.seen_s])
     report = FrameReport(
         given=len(frame.points),
@@ -308,7 +308,7 @@ def filter_frame(
         out_of_reach=int(tally[OUT_OF_REACH]),
         of_arm=int(tally[OF_ARM]),
         ignored=int(tally[IGNORED]),
-        isolated=int(voxels[isolated, COUNT].sum()),
+        isolated=int(voxels[isolated, COUNT_COLUMN].sum()),
         kept=kept,
         remembered=len(old.points),
         forgotten=forgotten,
@@ -333,7 +333,7 @@ def _still_hidden(
     """
     arm, ignored = bodies
     young = frame.time_s - before.seen_s <= frame.keep_s
-    points, seen_s = frame.seen(np.compress(young, before.points, axis=0)), before.seen_s[young]
+    points, seen_s = frame.to_base(np.compress(young, before.points, axis=0)), before.seen_s[young]
     growth_m = before.growth_with(frame.radius)
     stands_in = frame.radius + growth_m - options.arm_padding_m
     from_arm = distances_from_bodies(points, arm.rows, arm.data, max(stands_in, 0.0))
@@ -348,7 +348,7 @@ def _still_hidden(
     return SeenPoints(points, seen_s, growth_m, before.time_s), forgotten
 
 
-def _reach(
+def _relevant_balls(
     robot: Robot, frame: Frame, options: CloudOptions, clearance_m: float
 ) -> tuple[FloatArray, SweptReach | None]:
     """Ball of relevant points in the base frame, and the swept ball.
@@ -359,7 +359,7 @@ def _reach(
     reach[3] += frame.radius + options.growth_m + options.reach_margin_m + clearance_m
     if frame.base_track is None:
         return reach, None
-    swept = SweptReach.of(reach, frame.base_track)
+    swept = SweptReach.sweep(reach, frame.base_track)
     return swept.ball_seen_from(*frame.base_track.pose_at(frame.time_s)), swept
 
 
@@ -376,7 +376,7 @@ def _is_size(value: float) -> bool:
     return 0.0 < value <= FARTHEST_M
 
 
-def _points(points: ArrayLike) -> Any:
+def _check_points(points: ArrayLike) -> Any:
     """(n, 3) float32 or float64 points, contiguous and read-only."""
     expected = "(n, 3) or (rows, columns, 3) numbers"
     try:

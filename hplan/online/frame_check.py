@@ -65,7 +65,7 @@ def solids_named(scene: Scene, names: Sequence[str], cloud: str, time_s: float |
         if time_s is None:
             expected = "the time of the frame on the clock of the scene's tracks: a body to ignore moves"
             raise OptionError("time_s", None, expected)
-        named = named.at(time_s)
+        named = named.snapshot(time_s)
     return named.listed_solids
 
 

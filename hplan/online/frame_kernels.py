@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, ShortArray
-from hplan.base.kernels import any_int, inlined, kernel
+from hplan.base.kernels import any_int, inline, kernel
 from hplan.geometry.vectors import Vector
 from hplan.online.body_distances import Bodies, distance_from_bodies
 
@@ -41,7 +41,7 @@ _BITS = any_int(2)
 _SIDE = any_int(4)
 
 #: Column of a voxel for its number of points, after the minimum and maximum coordinates of its points.
-COUNT = 6
+COUNT_COLUMN = 6
 
 #: Positions along an axis are counted in voxels from the centre of the ball of interest. Bits of a packed position, and
 #: the offset that makes positions non-negative; three positions fit one integer.
@@ -78,8 +78,8 @@ def _part_inside(middle: Vector, rows: FloatArray, data: FloatArray, half: float
     return _ALL if apart <= -half else _SOME
 
 
-@inlined
-def _transformed(x: float, y: float, z: float, rotation: FloatArray, position: FloatArray) -> Vector:
+@inline
+def _transform_point(x: float, y: float, z: float, rotation: FloatArray, position: FloatArray) -> Vector:
     return (
         rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + position[0],
         rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + position[1],
@@ -96,7 +96,7 @@ class Scratch:
     def __init__(self) -> None:
         self._rows: ShortArray = np.empty((2, 0), dtype=np.int32)
         self._placed: FloatArray = np.empty((0, 3))
-        self._voxels: FloatArray = np.empty((0, COUNT + 1))
+        self._voxels: FloatArray = np.empty((0, COUNT_COLUMN + 1))
         first_blocks = 4096
         self._blocks, self._table = _room_for(first_blocks)
 
@@ -119,7 +119,7 @@ class Scratch:
         if self._rows.shape[1] < len(points):
             self._rows = np.empty((2, len(points)), dtype=np.int32)
         rows, numbers = self._rows
-        found = Found(np.zeros(3, dtype=np.int64), rows, numbers, np.zeros(FAR + 1, dtype=np.int64))
+        found = FoundBlocks(np.zeros(3, dtype=np.int64), rows, numbers, np.zeros(FAR + 1, dtype=np.int64))
         self._table[:, _KEY] = -1
         while True:
             _find_blocks(points, placement, arm, ignored, self._blocks, self._table, found)
@@ -131,7 +131,7 @@ class Scratch:
             _copy_table(self._table, table)
             self._blocks, self._table = more, table
         if len(self._placed) < kept:
-            self._placed, self._voxels = np.empty((kept, 3)), np.empty((kept, COUNT + 1))
+            self._placed, self._voxels = np.empty((kept, 3)), np.empty((kept, COUNT_COLUMN + 1))
         blocks, placed = self._blocks[:count], self._placed[:kept]
         _sort_by_block(points, placement, found, blocks, placed)
         # Sorted points belong to known blocks, so the voxel indices may overwrite the block indices.
@@ -144,13 +144,13 @@ def _room_for(count: int) -> tuple[IntArray, IntArray]:
     return np.empty((count, 2), dtype=np.int64), np.full((4 * count, 2), -1, dtype=np.int64)
 
 
-@inlined
-def _packed(i: int, j: int, k: int) -> int:
+@inline
+def _pack(i: int, j: int, k: int) -> int:
     return ((i + MIDDLE) << (2 * BITS)) | ((j + MIDDLE) << BITS) | (k + MIDDLE)
 
 
 @kernel
-def _place(key: int, table: IntArray) -> int:
+def _table_slot(key: int, table: IntArray) -> int:
     """Slot of a key in a table, or its free slot (-1).
 
     Four adjacent cells have adjacent slots, because a memory access takes as long as all the rest.
@@ -167,11 +167,11 @@ def _place(key: int, table: IntArray) -> int:
 def _copy_table(smaller: IntArray, table: IntArray) -> None:
     for entry in range(len(smaller)):
         if smaller[entry, _KEY] >= 0:
-            place = _place(smaller[entry, _KEY], table)
+            place = _table_slot(smaller[entry, _KEY], table)
             table[place, _KEY], table[place, _VALUE] = smaller[entry, _KEY], smaller[entry, _VALUE]
 
 
-class Found(NamedTuple):
+class FoundBlocks(NamedTuple):
     """Intermediate results of `_find_blocks`.
 
     Attributes:
@@ -192,7 +192,7 @@ class Found(NamedTuple):
 @kernel
 def _find_blocks(
     points: FloatArray, placement: Placement, arm: Bodies, ignored: Bodies, blocks: IntArray, table: IntArray,
-    found: Found,
+    found: FoundBlocks,
 ) -> None:  # fmt: skip
     """Find the blocks of the remaining points.
 
@@ -212,7 +212,7 @@ def _find_blocks(
         if u == 0.0 and v == 0.0 and w == 0.0:
             tally[NO_RETURN] += 1
             continue
-        x, y, z = _transformed(u, v, w, rotation, position)
+        x, y, z = _transform_point(u, v, w, rotation, position)
         dx, dy, dz = x - reach[0], y - reach[1], z - reach[2]
         if not dx * dx + dy * dy + dz * dz <= square:  # Sums of huge values may be NaN.
             tally[OUT_OF_REACH] += 1
@@ -221,9 +221,9 @@ def _find_blocks(
             continue
         i, j, k = math.floor(dx * per_metre), math.floor(dy * per_metre), math.floor(dz * per_metre)
         i, j, k = i >> _BITS, j >> _BITS, k >> _BITS
-        key = _packed(i, j, k)
+        key = _pack(i, j, k)
         if key != last:  # Neighbours in a frame are often in one block.
-            place = _place(key, table)
+            place = _table_slot(key, table)
             if table[place, _KEY] < 0:
                 if count == len(blocks):
                     done[0], done[1], done[2] = n, count, kept
@@ -263,7 +263,7 @@ def _parts_inside(middle: Vector, arm: Bodies, ignored: Bodies, side: float) -> 
 
 @kernel
 def _sort_by_block(
-    points: FloatArray, placement: Placement, found: Found, blocks: IntArray, placed: FloatArray
+    points: FloatArray, placement: Placement, found: FoundBlocks, blocks: IntArray, placed: FloatArray
 ) -> None:
     """Write the remaining points in the order of their blocks.
 
@@ -279,7 +279,7 @@ def _sort_by_block(
         n, number = rows[row], in_block[row]
         place = blocks[number, _POINTS]
         blocks[number, _POINTS] += 1
-        placed[place, 0], placed[place, 1], placed[place, 2] = _transformed(
+        placed[place, 0], placed[place, 1], placed[place, 2] = _transform_point(
             np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2]), rotation, position
         )
 
@@ -311,14 +311,14 @@ def _fill(placed: FloatArray, placement: Placement, blocks: IntArray, voxels: Fl
         for slot in range(len(known)):
             if known[slot] == 0:
                 known[slot] = count
-                voxels[count, COUNT] = 0.0
+                voxels[count, COUNT_COLUMN] = 0.0
                 for axis in range(3):
                     voxels[count, axis], voxels[count, 3 + axis] = math.inf, -math.inf
                 count += 1
         for place in range(begin, blocks[block, _POINTS]):
             number = numbers[place] = known[numbers[place]]
             x, y, z = placed[place, 0], placed[place, 1], placed[place, 2]
-            voxels[number, COUNT] += 1.0
+            voxels[number, COUNT_COLUMN] += 1.0
             voxels[number, 0], voxels[number, 3] = min(voxels[number, 0], x), max(voxels[number, 3], x)
             voxels[number, 1], voxels[number, 4] = min(voxels[number, 1], y), max(voxels[number, 4], y)
             voxels[number, 2], voxels[number, 5] = min(voxels[number, 2], z), max(voxels[number, 5], z)
@@ -345,7 +345,7 @@ def mark_isolated(voxels: FloatArray, placement: Placement, least: int, distance
     keys, changes, size = np.empty(len(voxels), dtype=np.int64), 0, 64
     for number in range(len(voxels)):
         i, j, k = _cells_at(voxels[number, 0], voxels[number, 1], voxels[number, 2], middle, side)
-        keys[number] = _packed(i, j, k)
+        keys[number] = _pack(i, j, k)
         changes += number == 0 or keys[number] != keys[number - 1]
     while size < 2 * changes:
         size *= 2
@@ -355,12 +355,12 @@ def mark_isolated(voxels: FloatArray, placement: Placement, least: int, distance
     place = 0
     for number in range(len(voxels)):
         if keys[number] != cells[place, _KEY]:
-            place = _place(keys[number], cells)
+            place = _table_slot(keys[number], cells)
             cells[place, _KEY] = keys[number]
         before[number] = cells[place, _VALUE]
         cells[place, _VALUE] = number
     for number in range(len(voxels)):
-        if voxels[number, COUNT] >= least or _has_enough(voxels, number, least, square):
+        if voxels[number, COUNT_COLUMN] >= least or _has_enough(voxels, number, least, square):
             continue
         back, x, y, z = distance + edge, voxels[number, 0], voxels[number, 1], voxels[number, 2]
         first = _cells_at(x - back, y - back, z - back, middle, side)
@@ -370,15 +370,15 @@ def mark_isolated(voxels: FloatArray, placement: Placement, least: int, distance
         for i in range(first[0], last[0] + 1):
             for j in range(first[1], last[1] + 1):
                 for k in range(first[2], last[2] + 1):
-                    other = cells[_place(_packed(i, j, k), cells), _VALUE]
+                    other = cells[_table_slot(_pack(i, j, k), cells), _VALUE]
                     while other >= 0 and near < least:
                         if _are_near(voxels, number, other, square):
-                            near += voxels[other, COUNT]
+                            near += voxels[other, COUNT_COLUMN]
                         other = before[other]
         isolated[number] = near < least
 
 
-@inlined
+@inline
 def _cells_at(x: float, y: float, z: float, middle: FloatArray, side: float) -> tuple[int, int, int]:
     return math.floor((x - middle[0]) / side), math.floor((y - middle[1]) / side), math.floor((z - middle[2]) / side)
 
@@ -389,19 +389,19 @@ def _has_enough(voxels: FloatArray, number: int, least: int, square: float) -> b
 
     These are most often the near ones.
     """
-    near = voxels[number, COUNT]
+    near = voxels[number, COUNT_COLUMN]
     for step in range(1, 5):
         before, after = number - step, number + step
         if before >= 0 and _are_near(voxels, number, before, square):
-            near += voxels[before, COUNT]
+            near += voxels[before, COUNT_COLUMN]
         if after < len(voxels) and _are_near(voxels, number, after, square):
-            near += voxels[after, COUNT]
+            near += voxels[after, COUNT_COLUMN]
         if near >= least:
             return True
     return False
 
 
-@inlined
+@inline
 def _are_near(voxels: FloatArray, a: int, b: int, square: float) -> bool:
     """True if the squared distance between two voxels' boxes is <= `square`."""
     x = max(0.0, max(voxels[a, 0] - voxels[b, 3], voxels[b, 0] - voxels[a, 3]))
@@ -432,7 +432,7 @@ def middles(
             low, high = voxels[number, axis], voxels[number, 3 + axis]
             found[number, axis] = low if low == high else 0.5 * (low + high)
             square += 0.25 * (high - low) * (high - low)
-        halves[number] = square if voxels[number, COUNT] > 1 and not dropped[number] else -1.0
+        halves[number] = square if voxels[number, COUNT_COLUMN] > 1 and not dropped[number] else -1.0
     # No point is farther than half the diagonal of its box, so most voxels are decided by their box alone.
     growth = 0.0
     for place in range(len(numbers)):

@@ -22,14 +22,14 @@ from typing import Final
 import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray
-from hplan.base.kernels import any_int, inlined, kernel
+from hplan.base.kernels import any_int, inline, kernel
 
 #: Cells along each side of the cube.
 CELLS: Final = 180
 _CELLS: Final = any_int(CELLS)
 
 
-@inlined
+@inline
 def side_of_cube(x: float, y: float, z: float) -> tuple[int, float, float, float]:
     """Side of the cube that a direction meets, and its coordinates there.
 
@@ -45,8 +45,8 @@ def side_of_cube(x: float, y: float, z: float) -> tuple[int, float, float, float
     return found
 
 
-@inlined
-def _direction(x: float, y: float, z: float) -> int:
+@inline
+def _direction_indices(x: float, y: float, z: float) -> int:
     """Index of the cell of a direction."""
     side, longest, u, v = side_of_cube(x, y, z)
     scale = 0.5 * CELLS / max(longest, 1e-300)
@@ -98,7 +98,7 @@ def _note_ranges(points: FloatArray, balls: FloatArray, ranges: FloatArray) -> N
         square = x * x + y * y + z * z
         if not 0.0 < square < math.inf:
             continue
-        cell = _direction(x, y, z)
+        cell = _direction_indices(x, y, z)
         if meets[cell]:
             length = math.sqrt(square)
             away = float(length)
@@ -124,7 +124,7 @@ def _mark_hidden(
         x = turn[0, 0] * dx + turn[1, 0] * dy + turn[2, 0] * dz
         y = turn[0, 1] * dx + turn[1, 1] * dy + turn[2, 1] * dz
         z = turn[0, 2] * dx + turn[1, 2] * dy + turn[2, 2] * dz
-        least = ranges[_direction(x, y, z)]
+        least = ranges[_direction_indices(x, y, z)]
         hidden[n] = least == math.inf or math.sqrt(least) < math.sqrt(x * x + y * y + z * z) - tolerance
 
 

@@ -18,7 +18,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar, get_args, overl
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.base.arguments import between, number, one_of, text
+from hplan.base.arguments import check_between, number, one_of, text
 from hplan.base.arrays import FloatArray, numbers, readonly
 from hplan.base.checked import StrictModel
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
@@ -218,7 +218,7 @@ class Planner:
                 return self._from_rest(begins_s, None if self.last is None else self.last.motion)
             scene, options, known_s = self.scene, self.options, at if now is None else now
             self._check_clouds(scene, options, known_s)
-            spliced = self._running(scene, options, now, measured).spliced(at)
+            spliced = self._running_motion(scene, options, now, measured).splice(at)
             self.last = self._with_ages(spliced, scene, known_s)
             return self.last
 
@@ -242,11 +242,11 @@ class Planner:
             OptionError: A time is before the motion, after it, or before now; `measured` is given without `now`.
         """
         scene, options = self.scene, self.options
-        found = self._running(scene, options, now, measured).stop_at(t)
+        found = self._running_motion(scene, options, now, measured).stop_at(t)
         faults = [error.message for error in self._cloud_faults(scene, options, t if now is None else now)]
         return replace(found, certificate=with_violations(found.certificate, faults))
 
-    def began(self, at_s: float) -> PlanResult:
+    def set_start_time(self, at_s: float) -> PlanResult:
         """Set the actual start time of the last motion.
 
         For a motion planned from rest in a static scene.
@@ -280,8 +280,8 @@ class Planner:
         begin = self._begin_of(begins_s, scene)
         self._check_clouds(scene, options, begins_s)
         self._check_known(scene)
-        shown = scene if math.isnan(begin) else scene.since(begin)
-        found = solved(Problem.of(self.robot, shown, options), before=before)
+        shown = scene if math.isnan(begin) else scene.starting_at(begin)
+        found = solved(Problem.from_scene(self.robot, shown, options), before=before)
         self.last = self._with_ages(replace(found, begins_s=begin), scene, begins_s)
         return self.last
 
@@ -303,7 +303,7 @@ class Planner:
             )
         return math.nan
 
-    def _running(
+    def _running_motion(
         self, scene: Scene, options: PlanOptions, now: float | None, measured: ArrayLike | None
     ) -> RunningMotion:
         if measured is not None and now is None:
@@ -380,7 +380,7 @@ class Planner:
                 raise InputError(
                     f"cloud {name!r} was cropped to the reach of the arm where it was seen: set it again", name=name
                 )
-            moved = _changed(self.scene.obstacles[index], changes)
+            moved = _with_changes(self.scene.obstacles[index], changes)
             self._change((*self.scene.obstacles[:index], moved, *self.scene.obstacles[index + 1 :]))
 
     # Eleven parameters: a frame has many aspects, and callers name them by keyword.
@@ -439,7 +439,7 @@ class Planner:
             FrameError: The frame is older than the last one, has too few returns, is in millimetres, or leaves no
                 obstacle. The scene is unchanged.
         """
-        yields = between("yields", yields, 0.0, FARTHEST_M)
+        yields = check_between("yields", yields, 0.0, FARTHEST_M)
         one_of("unknown", unknown, get_args(Unknown))
         options = CloudOptions() if options is None else options
         if unknown == "solid" and joints is None:
@@ -454,7 +454,7 @@ class Planner:
                 raise OptionError("time_s", None, expected)
             last = self._cropped.get(name)
             before = None if last is None else last.frame
-            frame = Frame.of(
+            frame = Frame.validate(
                 self.robot, points, radius=radius, pose=pose, joints=joints, keep_s=keep_s,
                 time_s=time.monotonic() if time_s is None else time_s, base_track=scene.base_track,
             )  # fmt: skip
@@ -471,7 +471,7 @@ class Planner:
             accepted = check_content(name, found.report, options, time_s, before)
             cloud = None
             if len(found.points):
-                cloud = PointCloud.thinned(name, found.points, found.report.radius_m, yields)
+                cloud = PointCloud.from_thinned(name, found.points, found.report.radius_m, yields)
             unseen = None if unknown == "free" else self._unseen(scene, frame, options, ignore)
             with self._changing:
                 check_cloud_name(self.scene, name)
@@ -505,7 +505,7 @@ class Planner:
         space.free([solid for item in options.known_free for solid in item.solids], now_s, 0.0)
         self._known_since_s = now_s - frame.keep_s
         border = space.border(self._known_since_s)
-        return PointCloud.thinned(UNSEEN, border, space.radius) if len(border) else None
+        return PointCloud.from_thinned(UNSEEN, border, space.radius) if len(border) else None
 
     def _check_known(self, scene: Scene) -> None:
         """Refuse a start in unknown space if unknown space is solid.
@@ -556,8 +556,8 @@ class Planner:
             FrameError: A frame is older than its `max_age_s`.
             HplanError: Any error of `plan`: known obstacles alone block the goal.
         """
-        wide, high = (between("field_of_view_deg", angle, 1.0, 179.0) for angle in field_of_view_deg)
-        between("farthest_m", farthest_m, 0.0, FARTHEST_M)
+        wide, high = (check_between("field_of_view_deg", angle, 1.0, 179.0) for angle in field_of_view_deg)
+        check_between("farthest_m", farthest_m, 0.0, FARTHEST_M)
         with self._turn(cancel):
             scene, space, since_s = self.scene, self._space, self._known_since_s
             if space is None:
@@ -565,7 +565,7 @@ class Planner:
             self._check_clouds(scene, self.options, None)
             self._begin_of(None, scene)
             known = with_cloud(scene, UNSEEN, None)
-            path = solved(Problem.of(self.robot, known, self.options)).trajectory.position
+            path = solved(Problem.from_scene(self.robot, known, self.options)).trajectory.position
             unseen = space.unknown(sweep(self.robot, path, space.edge), since_s)
             found = list[tuple[int, int]]()
             for number, view in enumerate(views):
@@ -588,7 +588,7 @@ class Planner:
                     there = scene.copy_unchecked({"goal": Goal(joints_rad=tuple(joints.tolist()))})
                     self._check_known(there)
                     try:
-                        motion = solved(Problem.of(self.robot, there, self.options))
+                        motion = solved(Problem.from_scene(self.robot, there, self.options))
                     except (NotInTimeError, PlanCancelledError):
                         raise
                     except HplanError:
@@ -616,7 +616,7 @@ class Planner:
         """
         changes: dict[str, Any] = {key: value for key, value in (("start", start), ("goal", goal)) if value is not None}
         with self._changing:
-            self.scene = _changed(self.scene, changes)
+            self.scene = _with_changes(self.scene, changes)
 
     def _room_m(self, scene: Scene, options: PlanOptions) -> float:
         """Distance within which points matter: clearance plus tracking displacement bound [m]."""
@@ -711,7 +711,7 @@ def _check_kind(item: object) -> None:
         raise InputError(f"expected one of {kinds}, got {type(item).__name__} {item!r}")
 
 
-def _changed(item: _Model, changes: Mapping[str, Any]) -> _Model:
+def _with_changes(item: _Model, changes: Mapping[str, Any]) -> _Model:
     """Return a checked copy with other values.
 
     Raises:
@@ -724,4 +724,4 @@ def _changed(item: _Model, changes: Mapping[str, Any]) -> _Model:
         raise InputError(f"a {type(item).__name__.lower()} has no {unknown[0]!r}; it has {', '.join(fields)}")
     if isinstance(item, FromData) and not changes.keys() <= {"position", "rpy_deg"}:
         raise InputError("only position and rpy_deg of a mesh or a point cloud can be changed; add another one instead")
-    return item.with_(**changes)
+    return item.with_values(**changes)

@@ -30,7 +30,7 @@ from typing import Final
 import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record
-from hplan.base.kernels import inlined, kernel
+from hplan.base.kernels import inline, kernel
 from hplan.collision.obstacle_rows import solid_rows
 from hplan.collision.reach import tight_reach_ball
 from hplan.errors import OptionError
@@ -49,7 +49,7 @@ UNSEEN: Final = "unseen"
 #: which the direction cells of that check are wider.
 _MOST: Final = 20_000_000
 _BLOCK: Final = 4
-_TOGETHER: Final = 4
+_VOXELS_TOGETHER: Final = 4
 
 
 class SeenSpace:
@@ -98,7 +98,9 @@ class SeenSpace:
             through = np.column_stack([(through[:, :3] - position) @ rotation, through[:, 3]])
         ranges = shortest_ranges(points, through)
         ranges[ranges == math.inf] = 0.0
-        together = ranges.reshape(6, CELLS // _TOGETHER, _TOGETHER, CELLS // _TOGETHER, _TOGETHER)
+        together = ranges.reshape(
+            6, CELLS // _VOXELS_TOGETHER, _VOXELS_TOGETHER, CELLS // _VOXELS_TOGETHER, _VOXELS_TOGETHER
+        )
         coarse = np.stack([together.min(axis=4).min(axis=2).ravel(), together.max(axis=4).max(axis=2).ravel()])
         both = np.stack([ranges, ranges]), coarse
         _see(self.times, self._corner, self.edge, both, rotation, position, np.array([time_s, margin_m]))
@@ -110,7 +112,7 @@ class SeenSpace:
 
         A voxel is marked if its centre is within `within_m` of a solid [m].
         """
-        for place, inside in self._about(solids, within_m):
+        for place, inside in self._iterate_near(solids, within_m):
             part = self.times[place]
             part[inside] = np.maximum(part[inside], time_s)
 
@@ -127,7 +129,7 @@ class SeenSpace:
         A voxel is unknown if it was not known to be free at or after `since_s` [s].
         """
         found = np.zeros(self.times.shape, dtype=np.bool_)
-        for place, inside in self._about(solids, self.radius):
+        for place, inside in self._iterate_near(solids, self.radius):
             found[place] |= inside & ~(self.times[place] >= since_s)
         return self._middles(np.argwhere(found))
 
@@ -149,7 +151,7 @@ class SeenSpace:
         middles: FloatArray = self._corner + (places + 0.5) * self.edge
         return middles
 
-    def _about(self, solids: Iterable[Solid], within_m: float) -> Iterator[tuple[tuple[slice, ...], BoolArray]]:
+    def _iterate_near(self, solids: Iterable[Solid], within_m: float) -> Iterator[tuple[tuple[slice, ...], BoolArray]]:
         """Grid part and voxel mask for each solid.
 
         The mask selects voxels whose centres are within `within_m` of the solid [m].
@@ -233,7 +235,7 @@ def _see(
                     times[i, j, k] = time_s
 
 
-@inlined
+@inline
 def _seen_at(corner: FloatArray, edge: float, place: Vector, rotation: FloatArray, position: FloatArray) -> Vector:
     """Grid position, counted in voxels, in the camera's frame [m]."""
     dx, dy, dz = (

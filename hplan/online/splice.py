@@ -23,8 +23,8 @@ from hplan.base.arrays import numbers
 from hplan.certificate.certificate import Certificate, all_of, rest_violations, with_violations
 from hplan.certificate.digests import Digests
 from hplan.certificate.moving_obstacles import checker_in_time
-from hplan.certificate.retimed_certificate import CertifiedMotion, certified_from, later
-from hplan.certificate.task_check import SAME
+from hplan.certificate.retimed_certificate import CertifiedMotion, certified_from, map_to_retimed
+from hplan.certificate.task_check import TASK_TOLERANCE
 from hplan.errors import HplanError, InputError, NotOnMotionError, RunningMotionBlockedError, UnavoidableContactError
 from hplan.planning.in_time import without_moving
 from hplan.planning.options import PlanOptions
@@ -33,7 +33,7 @@ from hplan.planning.problem import Problem
 from hplan.planning.result import PlanResult
 from hplan.planning.world import World
 from hplan.scene.model import Scene, Start
-from hplan.trajectory.trajectory import SAME_TIME, Phase, Retimed, Trajectory, joined, stopped
+from hplan.trajectory.trajectory import SAME_TIME, Phase, Retimed, Trajectory, join_trajectories, stop_motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ def _state_at(trajectory: Trajectory, row: int) -> Start:
     )
 
 
-def _since(certificate: Certificate, time_s: float) -> Certificate:
+def _shift_certificate(certificate: Certificate, time_s: float) -> Certificate:
     """Return the certificate with all times counted from a time [s].
 
     Contacts that end before that time are dropped.
@@ -109,7 +109,7 @@ class RunningMotion:
             raise InputError(
                 "the start time of the running motion is unknown: give plan(begins_s=), or call began(at_s) afterwards"
             )
-        time, scene = plan.trajectory.time, scene.since(plan.begins_s)
+        time, scene = plan.trajectory.time, scene.starting_at(plan.begins_s)
         self.plan, self._scene, self._options = plan, scene, options
         # Clocks of controllers are sums of small steps, and may be large numbers.
         self._same_s = SAME_TIME + 4.0 * math.ulp(plan.begins_s)
@@ -118,7 +118,7 @@ class RunningMotion:
             self._check_measured(measured)
         self.row = max(int(np.searchsorted(time, self._now + self._same_s, side="right")) - 1, 0)
         self.begins_s = float(time[self.row])
-        still = without_moving(scene.since(self.begins_s)) if scene.moves else scene
+        still = without_moving(scene.starting_at(self.begins_s)) if scene.moves else scene
         self._world = World.of_scene(plan.robot, still, options)
         self._checker = checker_in_time(plan.robot, scene, options.sigmas) if scene.moves else self._world.checker
         # Contact is allowed with the fruits that existed at planning time, not with different ones of the same names.
@@ -149,12 +149,12 @@ class RunningMotion:
         found = np.asarray(robot.turned_near(numbers("measured", measured, (robot.dof,)), q), dtype=np.float64)
         off, covered = np.abs(found - q), self._options.certified_tracking.deviations(velocity)
         joint = int((off - covered).argmax())
-        if off[joint] > covered[joint] + SAME:
+        if off[joint] > covered[joint] + TASK_TOLERANCE:
             at_s = self.plan.begins_s + self._now
             unit = robot.units[joint].position
             raise NotOnMotionError(robot.joint_names[joint], float(off[joint]), float(covered[joint]), at_s, unit)
 
-    def spliced(self, at: float) -> SplicedResult:
+    def splice(self, at: float) -> SplicedResult:
         """Splice a new motion into the running one, or keep it.
 
         The new motion starts at the first sample at or after `at`, on the controller's clock [s].
@@ -173,17 +173,19 @@ class RunningMotion:
                 Retimed.cut(self.plan.trajectory, self.plan.trajectory.samples - 1), self.row, rest=True
             )
             if certificate.verified:
-                return self._kept(certificate)
+                return self._keep(certificate)
         until = self._certificate(Retimed.cut(self.plan.trajectory, seam), self.row)
         if not until.verified:
-            raise self._blocked(until.violations)
-        scene = self._scene.since(float(time[seam])).copy_unchecked({"start": _state_at(self.plan.trajectory, seam)})
-        stop = stopped(self.plan.trajectory, float(time[seam]), self.plan.robot).trajectory
+            raise self._takeover_error(until.violations)
+        scene = self._scene.starting_at(float(time[seam])).copy_unchecked(
+            {"start": _state_at(self.plan.trajectory, seam)}
+        )
+        stop = stop_motion(self.plan.trajectory, float(time[seam]), self.plan.robot).trajectory
         try:
-            new = solved(Problem.of(self.plan.robot, scene, self._options), stop=stop.since(seam))
+            new = solved(Problem.from_scene(self.plan.robot, scene, self._options), stop=stop.cut_before(seam))
         except UnavoidableContactError as error:
-            raise self._blocked(error.reasons) from error
-        return self._joined(seam, until, new)
+            raise self._takeover_error(error.reasons) from error
+        return self._join(seam, until, new)
 
     def stop_at(self, t: float) -> CertifiedMotion:
         """Return the fastest stop on the motion's path, certified from now on.
@@ -194,10 +196,10 @@ class RunningMotion:
 
     def _stop_at(self, t: float) -> CertifiedMotion:
         """Return the stop that starts a time after the motion's start."""
-        retimed = stopped(self.plan.trajectory, t, self.plan.robot)
+        retimed = stop_motion(self.plan.trajectory, t, self.plan.robot)
         motion = retimed.trajectory
         certificate = self._certificate(retimed, min(self.row, motion.samples - 1), rest=True)
-        certificate = replace(certificate, digests=Digests.of(self.plan.robot, self._scene, motion))
+        certificate = replace(certificate, digests=Digests.compute(self.plan.robot, self._scene, motion))
         parts_s = float(motion.time[retimed.row])
         robot, begins_s = self.plan.robot, self.plan.begins_s
         return CertifiedMotion(motion, certificate, parts_s, retimed.off_path_m, robot, self._scene, begins_s)
@@ -217,38 +219,38 @@ class RunningMotion:
         found = certified_from(robot, among, self._contacts, retimed, row, tracking=tracking)
         found = with_violations(found, rest_violations(robot, retimed.trajectory, {"ends": -1}) if rest else ())
         goal_contact = self.plan.certificate.goal_contact if self._contacts else None
-        return replace(found, goal_contact=goal_contact, contacts=later(retimed, self._contacts))
+        return replace(found, goal_contact=goal_contact, contacts=map_to_retimed(retimed, self._contacts))
 
-    def _blocked(self, reasons: Sequence[str]) -> HplanError:
+    def _takeover_error(self, reasons: Sequence[str]) -> HplanError:
         """Return the error for a running motion that cannot be taken over.
 
         It carries the stop from now on if that is certified.
         """
         found, begins_s = self._stop_at(self.begins_s), self.plan.begins_s + self.begins_s
-        certificate = _since(found.certificate, self.begins_s)
-        stop = found.trajectory.since(self.row) if certificate.verified else None
+        certificate = _shift_certificate(found.certificate, self.begins_s)
+        stop = found.trajectory.cut_before(self.row) if certificate.verified else None
         return RunningMotionBlockedError(reasons, stop, certificate, begins_s)
 
-    def _kept(self, certificate: Certificate) -> SplicedResult:
+    def _keep(self, certificate: Certificate) -> SplicedResult:
         """Return the running motion from now on."""
         begins_s = self.begins_s
         phases = [
             Phase(phase.name, max(phase.start_s - begins_s, 0.0), max(phase.end_s - begins_s, 0.0))
             for phase in self.plan.phases
         ]
-        left = self.plan.trajectory.since(self.row)
-        certificate = _since(certificate, begins_s)
+        left = self.plan.trajectory.cut_before(self.row)
+        certificate = _shift_certificate(certificate, begins_s)
         return self._result(self.plan, phases, left, certificate, left.duration, is_kept=True)
 
-    def _joined(self, seam: int, until: Certificate, new: PlanResult) -> SplicedResult:
+    def _join(self, seam: int, until: Certificate, new: PlanResult) -> SplicedResult:
         """Return the running motion until the seam joined with the new one."""
-        before = self.plan.trajectory.until(seam).since(self.row)
+        before = self.plan.trajectory.cut_after(seam).cut_before(self.row)
         seam_s = before.duration
-        whole = joined([before, new.trajectory]) if before.samples > 1 else new.trajectory
-        parts = _since(until, self.begins_s), _since(new.certificate, -seam_s)
+        whole = join_trajectories([before, new.trajectory]) if before.samples > 1 else new.trajectory
+        parts = _shift_certificate(until, self.begins_s), _shift_certificate(new.certificate, -seam_s)
         contacts = tuple(contact for part in parts for contact in part.contacts if contact.end_s > contact.begin_s)
         certificate = replace(all_of(parts), goal_contact=new.certificate.goal_contact, contacts=contacts)
-        phases = [phase.later(seam_s) for phase in new.phases]
+        phases = [phase.delay(seam_s) for phase in new.phases]
         phases[0] = replace(phases[0], start_s=0.0)
         return self._result(new, phases, whole, certificate, seam_s, is_kept=False)
 
@@ -265,12 +267,12 @@ class RunningMotion:
         """Return a plan with another trajectory from the current state."""
         begins_s = self.begins_s
         state = _state_at(self.plan.trajectory, self.row)
-        scene = self._scene.since(begins_s).copy_unchecked({"start": state})
+        scene = self._scene.starting_at(begins_s).copy_unchecked({"start": state})
         trajectory = replace(trajectory, takes_over_s=0.0)
-        certificate = replace(certificate, digests=Digests.of(self.plan.robot, scene, trajectory))
+        certificate = replace(certificate, digests=Digests.compute(self.plan.robot, scene, trajectory))
         transit = made.motion
         problem = replace(transit.problem, scene=scene, options=self._options)
-        first = trajectory.until(int(np.searchsorted(trajectory.time, phases[0].end_s - SAME_TIME)))
+        first = trajectory.cut_after(int(np.searchsorted(trajectory.time, phases[0].end_s - SAME_TIME)))
         motion = replace(transit, problem=problem, trajectory=first, certificate=certificate)
         values = {name: getattr(made, name) for name in PlanResult.__dataclass_fields__}
         values |= {

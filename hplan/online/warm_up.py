@@ -29,7 +29,7 @@ from hplan.scene.tracks import Track
 _DRAWN, _PAIRS = 200, 16
 
 #: Maximum displacement of each joint [rad, m].
-_STEP: Final = 0.6
+_LARGEST_STEP: Final = 0.6
 
 #: Maximum radius of the fruit and of the dummy obstacles; smaller if the motion is short [m].
 _RADIUS: Final = 0.03
@@ -75,9 +75,9 @@ def _pairs(robot: Robot) -> list[tuple[FloatArray, FloatArray]]:
     low, high = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     begins = low + np.random.default_rng(0).uniform(0.05, 0.95, (_DRAWN, robot.dof)) * (high - low)
     begins[0] = 0.5 * (low + high)
-    goals = begins + np.clip(np.roll(begins, -1, axis=0) - begins, -_STEP, _STEP)
-    field = ClearanceField.of(robot, ())
-    clear = np.minimum(field.along(begins).min(axis=1), field.along(goals).min(axis=1)) > 0.0
+    goals = begins + np.clip(np.roll(begins, -1, axis=0) - begins, -_LARGEST_STEP, _LARGEST_STEP)
+    field = ClearanceField.build(robot, ())
+    clear = np.minimum(field.clearance_along(begins).min(axis=1), field.clearance_along(goals).min(axis=1)) > 0.0
     return list(zip(begins[clear], goals[clear], strict=True))[:_PAIRS]
 
 

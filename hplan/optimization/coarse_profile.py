@@ -34,7 +34,7 @@ def coarse_profile(spline: SplinePath, options: PostprocessOptions) -> SpeedProf
     _demands(np.array(spline.control), grid, options.joints, demands)
     _fastest(grid.parameter, demands, square)
     with np.errstate(divide="ignore"):  # at a cusp of the path the arm stops, which takes infinite time
-        return SpeedProfile.of(spline, frozen(grid.parameter), frozen(np.sqrt(square)))
+        return SpeedProfile.from_speed(spline, frozen(grid.parameter), frozen(np.sqrt(square)))
 
 
 class _Grid(NamedTuple):

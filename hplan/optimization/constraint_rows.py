@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.kinematics.damped_steps import Chain, leaning
+from hplan.kinematics.damped_steps import Chain, write_tilt
 from hplan.optimization.first_order import MotionLimits
 from hplan.optimization.interior_point import ProgramRows
 from hplan.optimization.timed_spline import RESTING, TimedSpline
@@ -50,7 +50,7 @@ class TorqueUse:
     limit: FloatArray
 
     @classmethod
-    def of(cls, spline: TimedSpline, dynamics: InverseDynamics, limit: FloatArray) -> TorqueUse:
+    def sample(cls, spline: TimedSpline, dynamics: InverseDynamics, limit: FloatArray) -> TorqueUse:
         """Torques at `_TORQUE_TIMES` sample times of each piece."""
         clock = spline.clock(_TORQUE_TIMES)
         states = np.stack([spline.path.evaluate(clock, order) for order in range(3)])
@@ -131,12 +131,12 @@ class Leaning:
     most_rad: float
 
     @classmethod
-    def of(cls, spline: TimedSpline, upright: Chain) -> Leaning:
+    def sample(cls, spline: TimedSpline, upright: Chain) -> Leaning:
         """Tilt at `_TILT_TIMES` sample times of each piece."""
         clock = spline.clock(_TILT_TIMES)
         configurations = np.ascontiguousarray(spline.positions(clock))
         cosines, slopes = np.empty(len(clock)), np.empty(configurations.shape)
-        leaning(configurations, upright, cosines, slopes)
+        write_tilt(configurations, upright, cosines, slopes)
         return cls(clock, cosines, slopes, float(upright.free_turn[1]))
 
     @property

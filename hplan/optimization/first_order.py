@@ -21,7 +21,7 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.deadline import is_up
-from hplan.base.kernels import any_int, inlined, kernel
+from hplan.base.kernels import any_int, inline, kernel
 from hplan.collision.body_kernels import body_slopes
 from hplan.collision.obstacle_rows import FieldArrays
 from hplan.optimization.interior_point import ProgramRows
@@ -70,7 +70,7 @@ class MotionLimits(NamedTuple):
     sway: FloatArray
 
 
-@inlined
+@inline
 def _difference_weights(knots: FloatArray, first: int, order: int, weight: FloatArray) -> None:
     """Write the weights of control points in a derivative's control point.
 
@@ -152,7 +152,7 @@ def first_order(
         for j in range(control.shape[1]):
             if drift[k, j] != 0.0:
                 matters = margin, math.inf
-    near = _places(control, knots, limits, field, matters)
+    near = _evaluate_places(control, knots, limits, field, matters)
     links_near = 0
     for place in range(near.clear.shape[0]):
         for link in range(near.clear.shape[1]):
@@ -176,7 +176,7 @@ def first_order(
     )  # fmt: skip
 
 
-@inlined
+@inline
 def _drift_of(drift: FloatArray, weight: FloatArray, first: int, order: int, joint: int) -> float:
     """Derivative of a derivative's control point with respect to the time scale."""
     change = 0.0
@@ -289,7 +289,7 @@ class _Places(NamedTuple):
 
 
 @kernel
-def _places(
+def _evaluate_places(
     control: FloatArray, knots: FloatArray, limits: MotionLimits, field: FieldArrays, matters: tuple[float, float]
 ) -> _Places:
     """Evaluate `PLACES` sample points of each piece.

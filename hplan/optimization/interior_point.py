@@ -20,7 +20,7 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, ShortArray
 from hplan.base.deadline import is_up
-from hplan.base.kernels import any_int, inlined, kernel
+from hplan.base.kernels import any_int, inline, kernel
 
 #: Weight of the squared changes: selects the nearest among motions of equal duration.
 NEARBY = 1e-4
@@ -30,7 +30,7 @@ NEARBY = 1e-4
 _RESIDUAL, _NEARLY = 0.1, 1e-5
 
 #: Rows with more entries than this are checked for consecutive columns.
-_MANY = any_int(8)
+_MANY_ENTRIES = any_int(8)
 
 #: Fraction of the longest step that keeps slacks and multipliers positive.
 _INSIDE = 0.995
@@ -85,7 +85,9 @@ class _Normal(NamedTuple):
 
 
 @kernel
-def solve(rows: ProgramRows, count: int, band: int, accuracy: float, until: FloatArray) -> tuple[bool, FloatArray]:
+def solve_program(
+    rows: ProgramRows, count: int, band: int, accuracy: float, until: FloatArray
+) -> tuple[bool, FloatArray]:
     """Solve a linear program.
 
     Args:
@@ -119,7 +121,7 @@ def solve(rows: ProgramRows, count: int, band: int, accuracy: float, until: Floa
             break
         corner = _normal_equations(rows, slack, dual, normal.factor, normal.border)
         # Beyond this residual the iteration does not recover.
-        if not (worst < 1e12 and _factored(normal.factor)):
+        if not (worst < 1e12 and _factor(normal.factor)):
             break
         for i in range(count):
             normal.solved[i] = normal.border[i]
@@ -129,16 +131,16 @@ def solve(rows: ProgramRows, count: int, band: int, accuracy: float, until: Floa
         # The predictor aims at zero complementarity; its progress sets the target of the corrector.
         for side in range(sides):
             product[side] = slack[side] * dual[side]
-        _direction(rows, point, (residual, product, gradient, value), normal, corner, step)
-        primal, other = _longest(slack, step.slack), _longest(dual, step.dual)
+        _search_direction(rows, point, (residual, product, gradient, value), normal, corner, step)
+        primal, other = _longest_step(slack, step.slack), _longest_step(dual, step.dual)
         ahead = 0.0
         for side in range(sides):
             ahead += (slack[side] + primal * step.slack[side]) * (dual[side] + other * step.dual[side])
         centre = gap / sides * (ahead / gap) ** 3
         for side in range(sides):
             product[side] += step.slack[side] * step.dual[side] - centre
-        _direction(rows, point, (residual, product, gradient, value), normal, corner, step)
-        primal, other = _longest(slack, step.slack), _longest(dual, step.dual)
+        _search_direction(rows, point, (residual, product, gradient, value), normal, corner, step)
+        primal, other = _longest_step(slack, step.slack), _longest_step(dual, step.dual)
         for i in range(count + 1):
             x[i] += primal * step.x[i]
         for side in range(sides):
@@ -202,7 +204,7 @@ def _gradient(rows: ProgramRows, point: _Point, gradient: FloatArray) -> float:
 
 
 @kernel
-def _direction(
+def _search_direction(
     rows: ProgramRows,
     point: _Point,
     known: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
@@ -244,7 +246,7 @@ def _direction(
 
 
 @kernel
-def _longest(values: FloatArray, step: FloatArray) -> float:
+def _longest_step(values: FloatArray, step: FloatArray) -> float:
     """Largest step fraction that keeps all values positive; at most 1."""
     part = 1.0
     for i in range(len(values)):
@@ -253,13 +255,13 @@ def _longest(values: FloatArray, step: FloatArray) -> float:
     return part
 
 
-@inlined
+@inline
 def _is_gapless(columns: ShortArray, first: int, end: int) -> bool:
     """True if a row has many entries in consecutive columns.
 
     Clearance rows are of this kind; their columns need no look-up.
     """
-    gapless: bool = end - first > _MANY and columns[end - 1] - columns[first] == end - 1 - first
+    gapless: bool = end - first > _MANY_ENTRIES and columns[end - 1] - columns[first] == end - 1 - first
     return gapless
 
 
@@ -360,7 +362,7 @@ def _normal_equations(
 
 
 @kernel
-def _factored(factor: FloatArray) -> bool:
+def _factor(factor: FloatArray) -> bool:
     """Cholesky-factor a banded matrix in place; False if not positive definite."""
     count, width = factor.shape
     for j in range(count):

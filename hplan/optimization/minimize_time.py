@@ -41,7 +41,7 @@ _SMALL_TRUST, _SHRINK = 0.03, 0.5
 _STALLED, _STALLS = 1.0 / 8.0, 2
 
 #: Maximum duration of an optimized motion; longer ones start from a path on which the arm has to stop [s].
-LONGEST_S = 600.0
+LONGEST_MOTION_S = 600.0
 
 #: Maximum number of times the number of samples is recomputed.
 _TRIES = 4
@@ -83,7 +83,7 @@ class Level:
 
 
 @dataclass(frozen=True)
-class Effort:
+class OptimizerEffort:
     """Optimization budget of a motion.
 
     Attributes:
@@ -104,7 +104,7 @@ class TimedMotion(Protocol):
         """(k, dof) configurations at (k,) times [s]."""
 
 
-def rough_motion(start: TimedMotion, problem: TimeProblem, effort: Effort) -> TimedSpline | None:
+def rough_motion(start: TimedMotion, problem: TimeProblem, effort: OptimizerEffort) -> TimedSpline | None:
     """Optimize a motion on the first level only; None if not found.
 
     Torques are not limited, and pieces need not meet at samples.
@@ -118,7 +118,7 @@ def rough_motion(start: TimedMotion, problem: TimeProblem, effort: Effort) -> Ti
 
 
 def minimize_time(
-    start: TimedMotion, problem: TimeProblem, effort: Effort, *, rough: TimedSpline | None = None
+    start: TimedMotion, problem: TimeProblem, effort: OptimizerEffort, *, rough: TimedSpline | None = None
 ) -> TimedSpline | None:
     """Fastest motion near a given one, collision-free and within all limits.
 
@@ -134,17 +134,17 @@ def minimize_time(
         The motion, or None if none was found.
     """
     levels = effort.levels if rough is None else effort.levels[1:] or effort.levels
-    found = _minimized(start if rough is None else rough, problem, levels, _without_torque(problem))
+    found = _minimize_levels(start if rough is None else rough, problem, levels, _without_torque(problem))
     if found is None or problem.torque_scale(found) <= 1.0:
         return found
-    return _minimized(start, problem, effort.levels, problem)
+    return _minimize_levels(start, problem, effort.levels, problem)
 
 
 def _without_torque(problem: TimeProblem) -> TimeProblem:
     return replace(problem, limits=replace(problem.limits, torque=None))
 
 
-def _minimized(
+def _minimize_levels(
     start: TimedMotion, problem: TimeProblem, levels: Sequence[Level], programs: TimeProblem
 ) -> TimedSpline | None:
     """Optimize level by level, adding torque limits when they are violated.
@@ -170,7 +170,7 @@ def _minimized(
         on_rows = None if over > 1.0 else _on_rows(found, programs, levels[-1])
         over = over if on_rows is None else _torque_scale(on_rows, problem)
         if over > 1.0:
-            return _minimized((on_rows or found).at_time_scale(over), problem, levels[-1:], problem)
+            return _minimize_levels((on_rows or found).at_time_scale(over), problem, levels[-1:], problem)
         return _between_rows(quickest, problem) if on_rows is None and problem.ends is None else on_rows
     between = None if problem.ends is not None else _between_rows(quickest, problem)
     if between is not None and quickest is not None and between.duration <= _AS_QUICK * quickest.duration:
@@ -221,13 +221,13 @@ def _use_between_rows(spline: TimedSpline, problem: TimeProblem) -> float:
 
 def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSpline | None:
     """Optimize a motion on one level; None if no step is collision-free."""
-    if not start.duration < LONGEST_S:
+    if not start.duration < LONGEST_MOTION_S:
         return None
     pieces = level.pieces_of(start.duration, problem.rate_hz)
     if pieces < 2 * RESTING:
         return None
-    spline = _first(start, problem, even_breaks(start.duration, pieces))
-    enough_s = _enough(spline, problem, level)
+    spline = _initial_spline(start, problem, even_breaks(start.duration, pieces))
+    enough_s = _sufficient_duration(spline, problem, level)
     best, trust, stalled = None, level.trust, 0
     for _ in range(level.steps):
         step = _step(spline, problem, trust, _NEAR * level.gain)
@@ -253,7 +253,7 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
     return best
 
 
-def _enough(spline: TimedSpline, problem: TimeProblem, level: Level) -> float:
+def _sufficient_duration(spline: TimedSpline, problem: TimeProblem, level: Level) -> float:
     """Duration that ends a level [s]; 0 without a lower bound."""
     if level.enough == 0.0 or spline.ends is not None:
         return 0.0
@@ -261,7 +261,7 @@ def _enough(spline: TimedSpline, problem: TimeProblem, level: Level) -> float:
     return (1.0 + level.enough) * problem.least_duration(turn, len(spline.control) - 3)
 
 
-def _first(start: TimedMotion, problem: TimeProblem, breaks: FloatArray) -> TimedSpline:
+def _initial_spline(start: TimedMotion, problem: TimeProblem, breaks: FloatArray) -> TimedSpline:
     """Initial spline of a level.
 
     With a velocity-dependent tracking error, it is slowed down until it is collision-free. Between states in motion, it
@@ -270,7 +270,7 @@ def _first(start: TimedMotion, problem: TimeProblem, breaks: FloatArray) -> Time
     # If tracking errors cause contact, the motion is slowed down by this factor, at most this many times.
     slower, slowed = 1.5, 9
     if problem.ends is None or (isinstance(start, TimedSpline) and start.ends is not None):
-        spline = TimedSpline.near(start.positions, breaks, problem.ends)
+        spline = TimedSpline.approximate(start.positions, breaks, problem.ends)
         for _ in range(slowed if problem.sway is not None else 0):
             if problem.is_clear(spline):
                 break
@@ -280,7 +280,7 @@ def _first(start: TimedMotion, problem: TimeProblem, breaks: FloatArray) -> Time
     # a longer distance, a shorter time exceeds the limits more [s].
     for within_s in (0.2, 0.1, 0.05):
         between = MotionBetween(start.positions, start.duration, problem.ends, within_s)
-        spline = TimedSpline.near(between.positions, breaks, problem.ends)
+        spline = TimedSpline.approximate(between.positions, breaks, problem.ends)
         if problem.is_clear(spline):
             break
     return spline
@@ -294,11 +294,11 @@ def _on_rows(spline: TimedSpline, problem: TimeProblem, level: Level) -> TimedSp
     rows, trust = math.ceil(spline.duration * problem.rate_hz - 1e-6), _SMALL_TRUST
     found: TimedSpline | None = None
     most, failed = math.inf, 0
-    enough_rows = math.ceil(_enough(spline, problem, level) * problem.rate_hz)
+    enough_rows = math.ceil(_sufficient_duration(spline, problem, level) * problem.rate_hz)
     for _ in range(_TRIES):
         breaks = breaks_at_rows(rows, pieces, problem.rate_hz)
         slower = spline.at_time_scale(breaks[-1] / spline.duration)
-        near = TimedSpline.near(slower.positions, breaks, problem.ends)
+        near = TimedSpline.approximate(slower.positions, breaks, problem.ends)
         step = _step(near, problem, trust, _EXACT, on_rows=True)
         if step is None and problem.sway is not None and found is None:
             rows = math.ceil(rows * _REPAIRED)
@@ -360,14 +360,16 @@ def _step(
     parts = (0.5**halving for halving in range(5 + 1))
     tried = (
         _Step(
-            _taken(spline, part * change, 1.0 if on_rows or free else 1.0 + part * (time_scale - 1.0)), part, time_scale
+            _apply_step(spline, part * change, 1.0 if on_rows or free else 1.0 + part * (time_scale - 1.0)),
+            part,
+            time_scale,
         )
         for part in parts
     )
     return next((step for step in tried if problem.is_clear(step.spline)), None)
 
 
-def _taken(spline: TimedSpline, change: FloatArray, time_scale: float) -> TimedSpline:
+def _apply_step(spline: TimedSpline, change: FloatArray, time_scale: float) -> TimedSpline:
     """Motion after changing its control points and its time scale."""
     moved = TimedSpline(frozen(spline.control + change), spline.knots, spline.ends)
     return moved if time_scale == 1.0 else moved.at_time_scale(time_scale)

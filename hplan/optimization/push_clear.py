@@ -24,7 +24,7 @@ from hplan.trajectory.cubics import bezier_piece
 from hplan.trajectory.spline import STRIDE, MovableSpline, SplinePath
 
 #: Maximum number of rounds of pushing.
-_ROUNDS = 40
+_PUSH_ROUNDS = 40
 
 #: Pushing is abandoned after `_STALLED` rounds in which the total clearance deficit did not fall below `_SHRUNK` times
 #: its previous minimum.
@@ -49,7 +49,7 @@ def clear_spline(
     even = np.linspace(0.0, station[-1], count)
     control = np.column_stack([np.interp(even, station, path[:, joint]) for joint in range(path.shape[1])])
     control[0], control[-1] = path[0], path[-1]
-    moved = MovableSpline(control, SplinePath.through(control).knots)
+    moved = MovableSpline(control, SplinePath.from_control_points(control).knots)
     pushed = push_out(moved, field.arrays, options.joints, margin)
     check_deadline()
     spline = SplinePath(frozen(control), moved.knots)
@@ -95,7 +95,7 @@ def push_out(spline: MovableSpline, field: FieldArrays, joints: JointArrays, mar
     lower, upper, movable = joints.lower, joints.upper, joints.movable
     piece, gradient, weight = np.empty((4, dof)), np.empty(dof), np.empty(4)
     lowest, since = math.inf, 0
-    for _ in range(_ROUNDS):
+    for _ in range(_PUSH_ROUNDS):
         contact, missing = False, 0.0
         for i in range(count - 3):
             bezier_piece(control, knots, i + 3, piece)

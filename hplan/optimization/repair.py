@@ -22,10 +22,10 @@ _HALVINGS = 3
 _LARGEST_PUSH, _DIFFERENCE = 0.1, 1e-4
 
 #: Target clearance of a push in excess of the margin [m].
-_BEYOND = 2e-3
+_EXTRA_CLEARANCE = 2e-3
 
 
-def repaired(
+def repair(
     path: FloatArray,
     field: ClearanceField,
     lower: FloatArray,
@@ -45,7 +45,7 @@ def repaired(
     """
     pieces, contacts = [path[:1]], []
     for i in range(len(path) - 1):
-        inner = _between(path[i], path[i + 1], field, lower, upper, margin)
+        inner = _find_bypass(path[i], path[i + 1], field, lower, upper, margin)
         if inner is None:
             contacts.append(i)
         else:
@@ -69,16 +69,16 @@ def pushed_clear(
         The polyline, and the indices of the given motions that could not be repaired.
     """
     points = path.copy()
-    for number in (np.flatnonzero(field.along(path[1:-1]).min(axis=1) < margin) + 1).tolist():
-        for wanted in (margin + _BEYOND, margin):
-            there = _out(path[number], field, lower, upper, wanted)
+    for number in (np.flatnonzero(field.clearance_along(path[1:-1]).min(axis=1) < margin) + 1).tolist():
+        for wanted in (margin + _EXTRA_CLEARANCE, margin):
+            there = _push_out(path[number], field, lower, upper, wanted)
             if there is not None:
                 points[number] = there
                 break
     pieces, contacts = [points[:1]], []
     for i, (first, last) in enumerate(itertools.pairwise(points)):
         if not field.is_clear(np.stack([first, last]), margin):
-            inner = _pushed(first, last, field, lower, upper, margin, _HALVINGS)
+            inner = _push_midpoints(first, last, field, lower, upper, margin, _HALVINGS)
             if inner is None:
                 contacts.append(i)
             else:
@@ -108,14 +108,14 @@ def leave_contact(
     for wanted in (5e-3, 0.01, 0.02, 0.04, 0.08):
         if field.clearance(path[-1]) >= wanted:
             continue
-        there = _out(path[-1], field, lower, upper, wanted)
+        there = _push_out(path[-1], field, lower, upper, wanted)
         if there is None or not field.is_clear(np.stack([path[-1], there]), margin):
             return
         path = np.vstack([path, there])
         yield path
 
 
-def _between(
+def _find_bypass(
     first: FloatArray, last: FloatArray, field: ClearanceField, lower: FloatArray, upper: FloatArray, margin: float
 ) -> FloatArray | None:
     """Intermediate configurations that make the motion verifiably collision-free.
@@ -125,7 +125,7 @@ def _between(
     if field.is_clear(np.stack([first, last]), margin):
         return np.empty((0, len(first)))
     inner = _in_turn(first, last, field, margin)
-    return _pushed(first, last, field, lower, upper, margin, _HALVINGS) if inner is None else inner
+    return _push_midpoints(first, last, field, lower, upper, margin, _HALVINGS) if inner is None else inner
 
 
 def _in_turn(first: FloatArray, last: FloatArray, field: ClearanceField, margin: float) -> FloatArray | None:
@@ -142,7 +142,7 @@ def _in_turn(first: FloatArray, last: FloatArray, field: ClearanceField, margin:
     return None
 
 
-def _pushed(
+def _push_midpoints(
     first: FloatArray,
     last: FloatArray,
     field: ClearanceField,
@@ -155,7 +155,7 @@ def _pushed(
 
     None if the motion cannot be repaired with `halvings` further subdivisions.
     """
-    middle = _out(0.5 * (first + last), field, lower, upper, margin + _BEYOND)
+    middle = _push_out(0.5 * (first + last), field, lower, upper, margin + _EXTRA_CLEARANCE)
     if middle is None:
         return None
     parts = []
@@ -165,14 +165,14 @@ def _pushed(
             continue
         if halvings == 0:
             return None
-        inner = _pushed(a, b, field, lower, upper, margin, halvings - 1)
+        inner = _push_midpoints(a, b, field, lower, upper, margin, halvings - 1)
         if inner is None:
             return None
         parts.append(inner)
     return np.vstack([parts[0], middle, parts[1]])
 
 
-def _out(
+def _push_out(
     q: FloatArray, field: ClearanceField, lower: FloatArray, upper: FloatArray, wanted: float
 ) -> FloatArray | None:
     """Find a nearby configuration with the required clearance; None if not found.
@@ -194,7 +194,7 @@ def _out(
         if (gradients**2).sum() < 1e-6:
             return None
         push = np.zeros(len(q))
-        push[movable] = np.linalg.pinv(gradients, rcond=1e-2) @ (wanted + 0.5 * _BEYOND - clearances[near])
+        push[movable] = np.linalg.pinv(gradients, rcond=1e-2) @ (wanted + 0.5 * _EXTRA_CLEARANCE - clearances[near])
         # The step is heuristic and does not need full precision; rounding it removes last digits that differ between
         # processors.
         push = ties.on_raster(push * min(1.0, _LARGEST_PUSH / max(float(np.abs(push).max()), 1e-12)))

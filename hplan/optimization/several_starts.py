@@ -17,7 +17,7 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.optimization.coarse_profile import coarse_profile
-from hplan.optimization.minimize_time import LONGEST_S, Effort, minimize_time, rough_motion
+from hplan.optimization.minimize_time import LONGEST_MOTION_S, OptimizerEffort, minimize_time, rough_motion
 from hplan.optimization.path_classes import PARTS, class_numbers
 from hplan.optimization.smooth_path import SMALLEST_FRACTION, clear_start, near_field
 from hplan.optimization.time_problem import TimeProblem
@@ -25,12 +25,12 @@ from hplan.optimization.timed_spline import TimedSpline
 from hplan.trajectory.speed_profile import SpeedProfile
 
 #: Obstacles farther than this from a path are left out of the programs that move it [m].
-NEAR = 0.4
+NEAR_PATH_M = 0.4
 
 
 #: Pairs of the arm's own bodies are left out of programs if they do not touch within this joint displacement of the
 #: motion [rad]: about the maximum change in one step.
-_TURN = 0.6
+_FARTHEST_TURN = 0.6
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class StartsEffort:
         finished: Maximum number of these motions, the fastest, that are optimized fully.
     """
 
-    optimization: Effort
+    optimization: OptimizerEffort
     rough: int
     others: int
     finished: int
@@ -78,14 +78,14 @@ def optimization_starts(paths: Sequence[FloatArray], problem: TimeProblem) -> li
     """
     found: list[OptimizationStart] = []
     for number, path in enumerate(paths):
-        near = near_field(path, problem.field, NEAR)
+        near = near_field(path, problem.field, NEAR_PATH_M)
         is_clear = near.is_clear(path, SMALLEST_FRACTION * problem.options.margin)
         spline = clear_start(path, near, problem.options) if is_clear else None
         if spline is not None:
             profile = coarse_profile(spline, problem.options)
-            if profile.duration < LONGEST_S:
+            if profile.duration < LONGEST_MOTION_S:
                 along = profile.positions(PARTS * profile.duration)
-                near = near.without_idle_pairs(along, problem.options.movable, NEAR, _TURN)
+                near = near.without_idle_pairs(along, problem.options.movable, NEAR_PATH_M, _FARTHEST_TURN)
                 found.append(OptimizationStart(number, replace(problem, near=near), profile))
     # The first path is preferred unless another path's smooth motion is faster by more than this fraction.
     times = [start.profile.duration * (1.0 - 0.03 * (start.number == 0)) for start in found]
@@ -101,7 +101,7 @@ def fastest_motions(
         starts: Initial guesses, in the order of `optimization_starts`.
         quicker_than_s: Maximum useful duration of a motion [s].
     """
-    several = starts if len(starts) < 2 else [starts[k] for k in _promising(starts, effort).tolist()]
+    several = starts if len(starts) < 2 else [starts[k] for k in _select_starts(starts, effort).tolist()]
     chosen: list[tuple[OptimizationStart, TimedSpline | None]] = [(start, None) for start in several]
     # Full optimization shortens a coarsely optimized motion by at most about the first fraction relative to a known
     # motion, and by the second relative to other coarse motions.
@@ -120,7 +120,7 @@ def fastest_motions(
     return [found[k] for k in ties.argsort([motion.duration for _, motion in found]).tolist()]
 
 
-def _promising(starts: Sequence[OptimizationStart], effort: StartsEffort) -> IntArray:
+def _select_starts(starts: Sequence[OptimizationStart], effort: StartsEffort) -> IntArray:
     """Indices of the starts to optimize coarsely: class representatives, then others."""
     paths = np.stack([start.profile.positions(PARTS * start.profile.duration) for start in starts])
     first = class_numbers(paths, starts[0].problem.field) == np.arange(len(starts))

@@ -101,7 +101,7 @@ def _distance(first: FloatArray, i: int, second: FloatArray, j: int) -> float:
 
 
 @kernel
-def _place(path: FloatArray, station: FloatArray, at: float, point: FloatArray) -> int:
+def _write_station(path: FloatArray, station: FloatArray, at: float, point: FloatArray) -> int:
     """Write the point at a station of a path; return its segment."""
     i = 0
     while i < path.shape[0] - 2 and station[i + 1] <= at:
@@ -113,7 +113,7 @@ def _place(path: FloatArray, station: FloatArray, at: float, point: FloatArray) 
 
 
 @kernel
-def _join(path: FloatArray, i: int, bypass: FloatArray, inner: int, j: int) -> FloatArray:
+def _join_bypass(path: FloatArray, i: int, bypass: FloatArray, inner: int, j: int) -> FloatArray:
     """Replace segments i to j of a path by a bypass.
 
     The result is the path up to segment i, the first `inner` + 2 points of the bypass, and the path after segment j,
@@ -156,8 +156,8 @@ def _shortcut(path: FloatArray, field: FieldArrays, margin: float, rounds: int) 
         if high - low < 1e-6 * whole:
             continue
         bypass = np.empty((count + 2, dof))
-        i = _place(path, station, low, bypass[0])
-        j = _place(path, station, high, bypass[1])
+        i = _write_station(path, station, low, bypass[0])
+        j = _write_station(path, station, high, bypass[1])
         if i == j:
             continue
         joint = attempt % (dof + 1) - 1  # -1: all joints move in a straight line
@@ -181,5 +181,5 @@ def _shortcut(path: FloatArray, field: FieldArrays, margin: float, rounds: int) 
                 clear = False
                 break
         if clear:
-            path = _join(path, i, bypass, inner, j)
+            path = _join_bypass(path, i, bypass, inner, j)
     return path

@@ -49,7 +49,7 @@ def clear_path(path: FloatArray, field: ClearanceField, options: PostprocessOpti
     """
     smallest = _smallest_margin(path, field, options)
     if is_straight(path, field, options):
-        return SplinePath.through(np.linspace(path[0], path[-1], 4))
+        return SplinePath.from_control_points(np.linspace(path[0], path[-1], 4))
     near = near_field(path, field, NEAR)
     # Any collision-free spline suffices here: a failed attempt costs milliseconds, and more control points succeed more
     # often.
@@ -102,7 +102,7 @@ def near_field(path: FloatArray, field: ClearanceField, distance: float) -> Clea
 
     Exact checks use the full field.
     """
-    return field.near(path, distance) if len(field.solids) > FEW else field
+    return field.select_near(path, distance) if len(field.solids) > FEW else field
 
 
 def clear_start(

@@ -8,14 +8,14 @@ from functools import cached_property
 import numpy as np
 
 from hplan.base.arrays import FloatArray, Record
-from hplan.base.deadline import check_deadline, until
+from hplan.base.deadline import check_deadline, kernel_time_limit
 from hplan.collision.body_motions import piece_is_clear
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.flat_bodies import thicker
 from hplan.kinematics.damped_steps import Chain
 from hplan.optimization.constraint_rows import NEAR_LIMIT, Leaning, TorqueUse, torque_rows, with_rows
 from hplan.optimization.first_order import MotionArrays, MotionLimits, first_order, least_time_scale
-from hplan.optimization.interior_point import ProgramRows, solve
+from hplan.optimization.interior_point import ProgramRows, solve_program
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.timed_spline import RESTING, BoundaryState, TimedSpline
 from hplan.robot.dynamics import InverseDynamics
@@ -70,7 +70,7 @@ class TimeProblem(Record):
 
         With an upright constraint, the tilt of the tool is checked at sample points, too.
         """
-        if self.upright is not None and not Leaning.of(spline, self.upright).is_upright:
+        if self.upright is not None and not Leaning.sample(spline, self.upright).is_upright:
             return False
         if self.sway is not None:
             return self._is_clear_swaying(spline, self.sway)
@@ -136,7 +136,7 @@ class TimeProblem(Record):
     def torque_use(self, spline: TimedSpline) -> TorqueUse | None:
         """Use of the torque limits; None without torque limits."""
         limit = self.limits.torque
-        return None if limit is None else TorqueUse.of(spline, self.dynamics, limit)
+        return None if limit is None else TorqueUse.sample(spline, self.dynamics, limit)
 
     def torque_scale(self, spline: TimedSpline, allowed: float = 1.0) -> float:
         """Time-scaling factor required by the torque limits, at least 1.
@@ -172,10 +172,10 @@ class TimeProblem(Record):
         if use is not None and use.largest > NEAR_LIMIT:
             rows = with_rows(rows, torque_rows(use, spline, self.dynamics, arrays))
         if self.upright is not None:
-            rows = with_rows(rows, Leaning.of(spline, self.upright).rows(spline, options.movable))
+            rows = with_rows(rows, Leaning.sample(spline, self.upright).rows(spline, options.movable))
         joints = len(options.movable)
         inner = len(spline.control) - 2 * RESTING
-        found, unknowns = solve(rows, inner * joints, 4 * joints - 1, gap, until())
+        found, unknowns = solve_program(rows, inner * joints, 4 * joints - 1, gap, kernel_time_limit())
         check_deadline()
         return (unknowns[:-1].reshape(inner, joints), float(unknowns[-1])) if found else None
 

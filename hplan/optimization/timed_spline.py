@@ -86,7 +86,7 @@ class TimedSpline(Record):
     ends: tuple[BoundaryState, BoundaryState] | None = None
 
     @classmethod
-    def near(
+    def approximate(
         cls,
         positions: Callable[[FloatArray], FloatArray],
         breaks: FloatArray,
@@ -110,12 +110,12 @@ class TimedSpline(Record):
         means = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3.0
         control = positions(means)
         if ends is not None:
-            return cls(frozen(control), frozen(knots)).between(ends)._through(control[RESTING:-RESTING], means)
+            return cls(frozen(control), frozen(knots)).with_ends(ends)._interpolate(control[RESTING:-RESTING], means)
         control[RESTING:-RESTING] -= np.diff(control[RESTING - 1 : 1 - RESTING], n=2, axis=0) / 6.0
         control[:RESTING], control[-RESTING:] = control[0], control[-1]
         return cls(frozen(control), frozen(knots))
 
-    def _through(self, points: FloatArray, clock: FloatArray) -> TimedSpline:
+    def _interpolate(self, points: FloatArray, clock: FloatArray) -> TimedSpline:
         """Interpolate (inner, dof) points with the inner control points; ends stay fixed."""
         from scipy.interpolate import BSpline
 
@@ -126,7 +126,7 @@ class TimedSpline(Record):
         control[inner] = np.linalg.solve(weights[:, inner], points - weights @ control)
         return TimedSpline(frozen(control), self.knots, self.ends)
 
-    def between(self, ends: tuple[BoundaryState, BoundaryState] | None) -> TimedSpline:
+    def with_ends(self, ends: tuple[BoundaryState, BoundaryState] | None) -> TimedSpline:
         """Spline with outer control points for given boundary states; unchanged for None."""
         if ends is None:
             return self
@@ -170,7 +170,7 @@ class TimedSpline(Record):
 
     def at_time_scale(self, time_scale: float) -> TimedSpline:
         """Scale all times by a factor; the boundary states stay fixed."""
-        return TimedSpline(self.control, frozen(self.knots * time_scale)).between(self.ends)
+        return TimedSpline(self.control, frozen(self.knots * time_scale)).with_ends(self.ends)
 
     def clock(self, count: int) -> FloatArray:
         """(pieces * count,) sample times: `count` in each piece, equally spaced [s].

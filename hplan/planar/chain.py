@@ -27,7 +27,7 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Record
 from hplan.base.elementary import arccos, arctan2, argument, modulus
-from hplan.kinematics.approach_angles import WINDOW_TOLERANCE, Window, above
+from hplan.kinematics.approach_angles import WINDOW_TOLERANCE, Window, angle_above
 from hplan.robot.planar_family import PlanarArm
 
 #: A joint this far beyond its limit is clamped to the limit [rad].
@@ -80,7 +80,7 @@ class FreeChain(Record):
     tail: float
 
     @classmethod
-    def of(cls, arm: PlanarArm, free: tuple[int, ...], held: FloatArray) -> FreeChain:
+    def build(cls, arm: PlanarArm, free: tuple[int, ...], held: FloatArray) -> FreeChain:
         """Return the chain from the first free joint on.
 
         Args:
@@ -131,15 +131,15 @@ class FreeChain(Record):
         """
         if len(self.free) == 3 and (window is None or window.width > 0.0):
             low = None if window is None else window.low - turns - self.tail
-            index, absolute = self._sampled(points, low, 0.0 if window is None else window.width, count)
+            index, absolute = self._sample_intervals(points, low, 0.0 if window is None else window.width, count)
         elif window is not None and len(self.free) == 3:
             # At a straight elbow or a joint limit, the corners are the more exact solutions.
             corners, solved = self._corners(points)
-            index, absolute = self._directed(points, (window.low - turns - self.tail)[:, None])
+            index, absolute = self._solve_last_angles(points, (window.low - turns - self.tail)[:, None])
             index = np.concatenate([index, np.nonzero(solved)[0]])
             absolute = np.concatenate([absolute, corners[solved]])
         else:
-            index, absolute = self._isolated(points)
+            index, absolute = self._solve_few_joints(points)
         q = self.joints(absolute)
         direction = turns[index] + self.tail + (absolute[:, -1] if self.free else 0.0)
         kept = self.keeps_limits(q)
@@ -160,7 +160,7 @@ class FreeChain(Record):
             open_ = feasible.any(axis=1)
             low = start + (turns + self.tail)[:, None]
             spans += list(zip(low[open_].tolist(), width[open_].tolist(), strict=True))
-        return _merged(spans)
+        return _merge_intervals(spans)
 
     def violations(self, points: ComplexArray) -> tuple[IntArray, FloatArray, FloatArray]:
         """Return solutions that ignore the limits, and their limit violations.
@@ -172,12 +172,12 @@ class FreeChain(Record):
             (k,) index of the point, (k, m) joint angles, (k, m) distances of each joint from its range, 0 inside.
         """
         if len(self.free) < 3:
-            index, absolute = self._isolated(points)
+            index, absolute = self._solve_few_joints(points)
             return index, *self._excess(self.joints(absolute))
         step = math.tau / _TRIED
         tried = np.tile(np.arange(_TRIED) * step, (len(points), 1))
         for closer in range(_CLOSER + 1):
-            index, absolute = self._directed(points, tried)
+            index, absolute = self._solve_last_angles(points, tried)
             q, excess = self._excess(self.joints(absolute))
             if closer == _CLOSER or not len(index):
                 break
@@ -195,7 +195,7 @@ class FreeChain(Record):
         q = np.where(below & ~(q <= self.upper), q - math.tau, q)
         return q, np.maximum(np.maximum(self.lower - q, q - self.upper), 0.0)
 
-    def _isolated(self, points: ComplexArray) -> tuple[IntArray, FloatArray]:
+    def _solve_few_joints(self, points: ComplexArray) -> tuple[IntArray, FloatArray]:
         """Point indices and absolute angles for fewer than three free joints."""
         count = len(self.free)
         if count == 2:
@@ -213,12 +213,12 @@ class FreeChain(Record):
         first, second, ok = _both_elbows(l1, l2, points - l3 * np.exp(1j * last))
         return np.stack([first, second, np.broadcast_to(last[..., None], first.shape)], axis=-1), ok
 
-    def _directed(self, points: ComplexArray, last: FloatArray) -> tuple[IntArray, FloatArray]:
+    def _solve_last_angles(self, points: ComplexArray, last: FloatArray) -> tuple[IntArray, FloatArray]:
         """Point indices and absolute angles for (b, j) given last angles."""
         absolute, ok = self._with_last(points[:, None], last)
         return np.nonzero(ok)[0], absolute[ok]
 
-    def _sampled(
+    def _sample_intervals(
         self, points: ComplexArray, low: FloatArray | None, width: float, count: int
     ) -> tuple[IntArray, FloatArray]:
         """Point indices and absolute angles of corners and interval samples."""
@@ -235,7 +235,7 @@ class FreeChain(Record):
             index.append(point[which])
             found.append(absolute[np.arange(count), side[which]])
         if low is not None:
-            ends, at_ends = self._directed(points, low[:, None] + [0.0, width])
+            ends, at_ends = self._solve_last_angles(points, low[:, None] + [0.0, width])
             index.append(ends)
             found.append(at_ends)
         return np.concatenate(index), np.concatenate(found)
@@ -282,7 +282,7 @@ class FreeChain(Record):
         absolute, ok = self._with_last(points[:, None], middle)
         feasible = (self.keeps_limits(self.joints(absolute)) & ok[..., :1]).transpose(0, 2, 1)
         if low is not None:
-            feasible &= (above(middle, low[:, None]) <= width)[:, None]
+            feasible &= (angle_above(middle, low[:, None]) <= width)[:, None]
         return cuts, widths, feasible
 
 
@@ -308,7 +308,7 @@ def _both_elbows(
     return first, first + _SIDES * bend[..., None], np.stack([ok, ok & (bend > 0.0) & (bend < np.pi)], axis=-1)
 
 
-def _merged(spans: list[tuple[float, float]]) -> list[tuple[float, float]]:
+def _merge_intervals(spans: list[tuple[float, float]]) -> list[tuple[float, float]]:
     """Merge angle intervals (low, width) into disjoint intervals (low, high).
 
     Each low is in (-pi, pi].

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Final, Self
 
-from hplan.optimization.minimize_time import Effort as OptimizerEffort
+from hplan.optimization.minimize_time import OptimizerEffort as OptimizerEffort
 from hplan.optimization.several_starts import StartsEffort
 from hplan.planar.grids import GridAttempt
 from hplan.planning.effort import COARSE, FINE, FINEST, LAST, QUICK_START, Effort, TreesEffort, near_one
@@ -27,10 +27,10 @@ class PlanarEffort(Effort):
     long_stops_early: bool = False
     proof_nodes: float = math.inf
 
-    def seeded(self, seed: int) -> Self:
+    def with_seed(self, seed: int) -> Self:
         """Return a copy with other random seeds."""
         trees = self.after_grid
-        return replace(super().seeded(seed), after_grid=None if trees is None else replace(trees, seed=seed))
+        return replace(super().with_seed(seed), after_grid=None if trees is None else replace(trees, seed=seed))
 
 
 _GRIDS: Final = (GridAttempt(2.0, growth_m=0.02), GridAttempt(2.0, growth_m=5e-3), GridAttempt(3.0, growth_m=0.01))

@@ -58,7 +58,7 @@ def draw_cspace(result: PlanResult, options: PlanOptions, yaw: float | None) -> 
     from hplan.planar.pages.yaw_section import yaw_section
 
     title = result.scene.name
-    section = yaw_section(result.robot, result.scene, Playback.of(result), options, yaw=yaw)
+    section = yaw_section(result.robot, result.scene, Playback.from_result(result), options, yaw=yaw)
     return render_cspace_page(section, title), lambda: cspace_at_yaw(section, title)
 
 

@@ -50,7 +50,7 @@ def configurations_at_point(
         InputError: A position, start or joint is invalid.
         OptionError: An option is invalid.
     """
-    place, window = np.asarray(position, dtype=np.float64), Window.of(approach_deg)
+    place, window = np.asarray(position, dtype=np.float64), Window.from_degrees(approach_deg)
     if window is None:
         found = reach(robot, position, count=count, start=start, locked=locked).configurations
         return Candidates(found, frozen(approach_angles(robot, found, place)))

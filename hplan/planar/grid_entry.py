@@ -76,7 +76,7 @@ def joined_nodes(
     """
     grid = occupancy.grid
     position = grid.position(q[axes])
-    nearest = grid.nearest(q[axes])
+    nearest = grid.nearest_node(q[axes])
     if np.abs(position - nearest).max() <= _ON_NODE:
         if occupancy.is_free(nearest):
             yield nearest

@@ -13,7 +13,7 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen
 from hplan.errors import CertificationError
-from hplan.planar.grid import SearchResult, dense_search, reachable, two_level_search
+from hplan.planar.grid import SearchResult, dense_search, reachable_nodes, two_level_search
 from hplan.planar.grid.grid import Grid, Occupancy
 from hplan.planar.grid_entry import GridEntry, grid_entry
 from hplan.planar.grids import GridAttempt, grid_axes, grid_occupancy, step_deg
@@ -23,7 +23,7 @@ from hplan.planning.problem import Problem
 from hplan.planning.stages import current_clock
 
 #: A node and a configuration that differ by less than this are treated as equal [rad].
-_ON_NODE = 1e-9
+_EQUAL_TO_NODE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +98,9 @@ def _configurations(problem: Problem, grid: Grid, nodes: IntArray, start: GridEn
     path = np.repeat(problem.start[None], len(nodes), axis=0)
     path[:, grid_axes(problem)] = grid.coordinates(nodes)
     before, after = start.waypoints, goal.waypoints
-    if np.abs(path[0] - before[-1]).max() < _ON_NODE:
+    if np.abs(path[0] - before[-1]).max() < _EQUAL_TO_NODE:
         path[0], before = before[-1], before[:-1]
-    if np.abs(path[-1] - after[-1]).max() < _ON_NODE:
+    if np.abs(path[-1] - after[-1]).max() < _EQUAL_TO_NODE:
         path[-1], after = after[-1], after[:-1]
     return frozen(np.concatenate([before, path, after[::-1]]))
 
@@ -120,7 +120,7 @@ def _planar_search(
     for node in start.nodes:
         if known[tuple(node)]:
             continue
-        reached = reachable(space, node)
+        reached = reachable_nodes(space, node)
         for other in goal.nodes:
             if reached[tuple(other)]:
                 search = _search(problem, space, node, other)

@@ -23,7 +23,7 @@ from hplan.planning.world import World
 
 #: Multiples of the step tried if a grid has too many nodes, and the coarsest resulting step [deg]; the requested step
 #: may be coarser.
-_STEP_FACTORS = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
+_GRID_STEP_FACTORS = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
 COARSEST_DEG = 8.0
 
 #: Maximum number of nodes of a grid.
@@ -105,7 +105,7 @@ def fitting_attempt(problem: Problem, attempt: GridAttempt, most_cells: float | 
     """
     most_cells = MOST_CELLS if most_cells is None else most_cells
     coarsest = max(attempt.step_factor, COARSEST_DEG / problem.options.step_deg)
-    factors = (factor for factor in _STEP_FACTORS if attempt.step_factor <= factor <= coarsest)
+    factors = (factor for factor in _GRID_STEP_FACTORS if attempt.step_factor <= factor <= coarsest)
     larger = (replace(attempt, step_factor=factor) for factor in factors)
     return next((coarser for coarser in larger if count_nodes(problem, coarser) <= most_cells), None)
 
@@ -127,12 +127,14 @@ def planar_grid(problem: Problem, attempt: GridAttempt) -> Grid:
     """
     planar = problem.robot.arm_slice
     try:
-        return Grid.over(problem.lower[0][planar], problem.upper[0][planar], np.radians(step_deg(problem, attempt)))
+        return Grid.from_limits(
+            problem.lower[0][planar], problem.upper[0][planar], np.radians(step_deg(problem, attempt))
+        )
     except OptionError as error:
         raise OptionError("step_deg", problem.options.step_deg, error.expected) from error
 
 
-def prepared(world: World, more: float = 0.0) -> PreparedObstacles:
+def prepare_world(world: World, more: float = 0.0) -> PreparedObstacles:
     """Obstacles of a world, grown and prepared for sections.
 
     They are grown by their clearance plus `more` [m].
@@ -140,7 +142,7 @@ def prepared(world: World, more: float = 0.0) -> PreparedObstacles:
     linked, arm = world.linked, world.robot.arm_slice
     links = None if linked.joints is None else linked.joints[:, arm]
     if world.touched:
-        touched = linked.named(world.touched)
+        touched = linked.name_mask(world.touched)
         everything = np.ones((len(touched), world.robot.arm.link_count), dtype=np.bool_)
         links = everything if links is None else links.copy()
         links[touched, -1] = False
@@ -156,7 +158,7 @@ def prepared(world: World, more: float = 0.0) -> PreparedObstacles:
 def obstacle_sections(problem: Problem, yaw: float, growth_m: float) -> ArmSections:
     """Sections of the grown obstacles with the arm plane at a yaw."""
     model = "capsule" if base_turns(problem) else problem.options.link_model
-    return sections_at(problem.robot, prepared(problem.world, growth_m), yaw, link_model=model, within_reach=False)
+    return sections_at(problem.robot, prepare_world(problem.world, growth_m), yaw, link_model=model, within_reach=False)
 
 
 def grid_occupancy(problem: Problem, attempt: GridAttempt) -> Occupancy:
@@ -177,5 +179,5 @@ def grid_occupancy(problem: Problem, attempt: GridAttempt) -> Occupancy:
             problem.start[0], problem.goal[0], math.radians(step_deg(problem, attempt)), problem.lower[0][0],
             problem.upper[0][0], math.radians(attempt.yaw_range_deg),
         )  # fmt: skip
-        layers = robot.cached("planar layers", LayerCache)
-        return turning_occupancy(robot, prepared(problem.world, attempt.growth_m), planar, yaws, layers=layers)
+        layers = robot.cache("planar layers", LayerCache)
+        return turning_occupancy(robot, prepare_world(problem.world, attempt.growth_m), planar, yaws, layers=layers)

@@ -75,7 +75,7 @@ def reach(
     """
     if count < 1:
         raise OptionError("count", count, "a number of configurations >= 1")
-    task = _ReachTask.of(robot, position, Window.of(approach_deg), start, locked)
+    task = _ReachTask.build(robot, position, Window.from_degrees(approach_deg), start, locked)
     configurations, direction = task.solve(count)
     if not len(configurations):
         raise _reason(task)
@@ -115,7 +115,7 @@ class _ReachTask:
     held: BoolArray
 
     @classmethod
-    def of(
+    def build(
         cls, robot: Robot, position: ArrayLike, window: Window | None, start: ArrayLike | None, locked: Sequence[str]
     ) -> _ReachTask:
         """Validate the arguments and return the task."""
@@ -131,7 +131,7 @@ class _ReachTask:
         return tuple(np.flatnonzero(~self.held[self.robot.arm_slice]).tolist())
 
     @property
-    def gridded(self) -> tuple[int, ...]:
+    def grid_joints(self) -> tuple[int, ...]:
         """Free joints beyond three, which take values from a grid."""
         return self.free[:-3]
 
@@ -177,9 +177,9 @@ class _ReachTask:
     @cached_property
     def chain(self) -> FreeChain:
         """The chain from the first non-grid free joint on."""
-        return FreeChain.of(self.robot.arm, self.free[len(self.gridded) :], self.rest[self.robot.arm_slice])
+        return FreeChain.build(self.robot.arm, self.free[len(self.grid_joints) :], self.rest[self.robot.arm_slice])
 
-    def seen(self, base: FloatArray, views: IntArray) -> tuple[ComplexArray, FloatArray]:
+    def relative_position(self, base: FloatArray, views: IntArray) -> tuple[ComplexArray, FloatArray]:
         """Return the position relative to the chain, for base joints and views.
 
         `base` has (b, n) values of the joints before the chain, `views` (v,) indices.
@@ -205,9 +205,9 @@ class _ReachTask:
         views = np.flatnonzero(self.yaw_excess <= ANGLE_TOLERANCE)
         if self.views.distance <= MATCH_TOLERANCE and len(views):
             for base in self.grids():
-                found = self.chain.reach(*self.seen(base, views), self.window, count)
+                found = self.chain.reach(*self.relative_position(base, views), self.window, count)
                 if len(found.point):
-                    return self._assembled(found, base, views)
+                    return self._assemble(found, base, views)
         return np.empty((0, self.robot.dof)), np.empty(0)
 
     def grids(self) -> list[FloatArray]:
@@ -215,7 +215,7 @@ class _ReachTask:
 
         Locked joints keep their values.
         """
-        rest, gridded, arm = self.rest[self.robot.arm_slice], list(self.gridded), self.robot.arm
+        rest, gridded, arm = self.rest[self.robot.arm_slice], list(self.grid_joints), self.robot.arm
         if not gridded:
             return [rest[None]]
         grids: list[FloatArray] = []
@@ -230,7 +230,7 @@ class _ReachTask:
                 grids.append(base)
         return grids
 
-    def _assembled(self, found: Reached, base: FloatArray, views: IntArray) -> tuple[FloatArray, FloatArray]:
+    def _assemble(self, found: Reached, base: FloatArray, views: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return sorted, distinct full configurations, and their angles of the last link."""
         robot, shift = self.robot, self.robot.dof - self.robot.arm.link_count
         q = np.empty((len(found.point), robot.dof))
@@ -261,7 +261,7 @@ class _ReachTask:
         turned[:, joint] = np.minimum(turned[:, joint], upper)
         return turned[kept], np.repeat(direction, len(turns))[kept]
 
-    def without(self, *, window: bool = False, locks: bool = False) -> _ReachTask:
+    def drop_constraints(self, *, window: bool = False, locks: bool = False) -> _ReachTask:
         """Return the task without its approach window, or without its locked joints."""
         held = np.zeros_like(self.held) if locks else self.held
         return replace(self, window=None if window else self.window, held=held)
@@ -273,14 +273,14 @@ class _ReachTask:
 
 def _reason(task: _ReachTask) -> UnreachableError:
     """Return the unreachability error: options are blamed first, then the arm."""
-    wider = task.without(window=True)
+    wider = task.drop_constraints(window=True)
     if task.window is not None and wider.is_possible():
         return _approach_reason(wider, task.window)
     if task.held.any():
-        for freer in (task.without(locks=True), task.without(locks=True, window=True)):
+        for freer in (task.drop_constraints(locks=True), task.drop_constraints(locks=True, window=True)):
             if freer.is_possible():
                 return _locked_reason(task)
-    return _arm_reason(task.without(locks=True, window=True))
+    return _arm_reason(task.drop_constraints(locks=True, window=True))
 
 
 def _approach_reason(task: _ReachTask, window: Window) -> UnreachableError:
@@ -288,7 +288,7 @@ def _approach_reason(task: _ReachTask, window: Window) -> UnreachableError:
     views = np.flatnonzero(task.yaw_excess <= ANGLE_TOLERANCE)
     spans: list[tuple[float, float]] = []
     for base in task.grids():
-        spans = task.chain.feasible_directions(*task.seen(base, views))
+        spans = task.chain.feasible_directions(*task.relative_position(base, views))
         if spans:
             break
     reachable = np.degrees(spans).tolist()
@@ -338,8 +338,8 @@ def _arm_reason(task: _ReachTask) -> UnreachableError:
             f"it is {short:.6g} m closer than the minimum distance of the folded arm, {nearest:.6g} m",
             excess_m=short,
         )
-    if task.gridded:  # the grid search is inconclusive
-        names = [task.robot.arm.joint_names[joint] for joint in task.gridded]
+    if task.grid_joints:  # the grid search is inconclusive
+        names = [task.robot.arm.joint_names[joint] for joint in task.grid_joints]
         detail = f"no configuration with {', '.join(names)} at grid values"
         return _unreachable(task, "not_found", detail, joints=names)
     return _limit_reason(task)
@@ -352,7 +352,7 @@ def _limit_reason(task: _ReachTask) -> UnreachableError:
     """
     robot, shift = task.robot, task.robot.dof - task.robot.arm.link_count
     views = np.arange(len(task.views.yaw))
-    points, _ = task.seen(task.grids()[0], views)
+    points, _ = task.relative_position(task.grids()[0], views)
     index, q, excess = task.chain.violations(points)
     joints = [shift + joint for joint in task.chain.free]
     if robot.has_yaw:

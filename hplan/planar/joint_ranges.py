@@ -70,7 +70,7 @@ def _turns_that_decide(scene: CoalScene) -> Iterator[_Turn]:
 
 
 #: Cache of interval ends by joint, joint value, end of the range and margin; every grasp of a fruit needs them.
-_KNOWN: WeakKeyDictionary[CoalScene, dict[tuple[int, float, float, float], tuple[float, Contact | None]]] = (
+_CACHED_ENDS: WeakKeyDictionary[CoalScene, dict[tuple[int, float, float, float], tuple[float, Contact | None]]] = (
     WeakKeyDictionary()
 )
 
@@ -79,10 +79,10 @@ def _known_free(
     scene: CoalScene, turn: _Turn, q: FloatArray, end: float, margin: float
 ) -> tuple[float, Contact | None]:
     """Cached `_free`; the result depends on this joint's value alone."""
-    known, key = _KNOWN.get(scene, {}), (turn.joint, float(q[turn.joint]), end, margin)
+    known, key = _CACHED_ENDS.get(scene, {}), (turn.joint, float(q[turn.joint]), end, margin)
     if key not in known:
         # Replace tables instead of changing them: another thread may be reading the old one.
-        known = _KNOWN[scene] = {**known, key: _free(scene, turn, q, end, margin)}
+        known = _CACHED_ENDS[scene] = {**known, key: _free(scene, turn, q, end, margin)}
     return known[key]
 
 
@@ -94,7 +94,7 @@ def _free(scene: CoalScene, turn: _Turn, q: FloatArray, end: float, margin: floa
     joint reaches the end of its range, the contact is missing (None).
     """
     pairs, joint = turn.pairs, turn.joint
-    kept = np.broadcast_to(scene.kept(scene.clearance), len(scene.pairs))[pairs]
+    kept = np.broadcast_to(scene.required_distance(scene.clearance), len(scene.pairs))[pairs]
     kept = kept + scene.deviation * turn.radii + margin
     at, length, direction = q.copy(), abs(end - float(q[joint])), 1.0 if end >= q[joint] else -1.0
     turned, due = 0.0, np.zeros(len(pairs))

@@ -88,7 +88,7 @@ class EnclosedError(UnexplainedNoPathError):
         """Return the error without the region and its grid, to free memory."""
         return NoPathError(self.message, reached_cells=self.reached_cells)
 
-    def explained(self) -> NoPathError:
+    def explain(self) -> NoPathError:
         """Return the error with the obstacles that bound the region.
 
         Finding them takes longer than the proof itself. If time runs out, the error has no obstacles; the proof holds.
@@ -96,14 +96,14 @@ class EnclosedError(UnexplainedNoPathError):
         error = self.plain
         if self._region is not None:
             with suppress(TimeIsUpError):
-                error = self._bounded(self._region)
+                error = self._explain_region(self._region)
         if self._attempt.step_factor > 1.0:
             step = step_deg(self._problem, self._attempt)
             remark = f"the grid's step is {step:g} deg because a finer grid over all joint ranges is too large"
             error.add(remark, step_deg=step)
         return error
 
-    def _bounded(self, region: Region) -> NoPathError:
+    def _explain_region(self, region: Region) -> NoPathError:
         """Return the error with the obstacles around a region.
 
         For a region over yaws, the obstacles are those at the yaw with the largest slice.
@@ -177,11 +177,11 @@ def enclosed_goals(
         return [None] * len(numbers)
     if robot is not problem.robot:
         problem = replace(problem, robot=robot, other_world=replace(problem.world, robot=robot))
-    problems = [problem.to(number) for number in numbers]
+    problems = [problem.with_goals(number) for number in numbers]
     margins = [0.1 * one.margin for one in problems]
     first = problems[0]
     space = grid_occupancy(first, attempt)
-    grid, lattice = space.grid, Lattice.of(space.grid.shape, space.grid.step)
+    grid, lattice = space.grid, Lattice.build(space.grid.shape, space.grid.step)
     goals: dict[int, IntArray] = {}
     with suppress(CertificationError):
         start = np.array(grid_entry(first, space, "start", min(margins)).nodes)
@@ -191,7 +191,7 @@ def enclosed_goals(
     if not goals:
         return [None] * len(problems)
 
-    free = lattice.bordered(space.free_words)
+    free = lattice.add_border(space.free_words)
     del space  # grids take tens of megabytes
 
     def holds(region: WordArray, nodes: IntArray) -> bool:
@@ -204,7 +204,7 @@ def enclosed_goals(
             del region
             region, cells = flood_from(lattice, free, start)
             separate = {number for number, nodes in goals.items() if not holds(region, nodes)}
-    more = base_turns(first) and is_open_ended(first, grid, lattice.unbordered(region))
+    more = base_turns(first) and is_open_ended(first, grid, lattice.remove_border(region))
     kept = _smaller_region(grid, free, start, goals[0]) if explained and 0 in separate else None
     return [
         EnclosedError(one, attempt, cells, None if number else kept, open_ended=more) if number in separate else None
@@ -214,11 +214,11 @@ def enclosed_goals(
 
 def _smaller_region(grid: Grid, free: WordArray, start: IntArray, goal: IntArray) -> Region:
     """Region of the start or of the goal, whichever is smaller."""
-    lattice = Lattice.of(grid.shape, grid.step)
+    lattice = Lattice.build(grid.shape, grid.step)
     floods = [(*flood_from(lattice, free, nodes), which) for nodes, which in ((start, "start"), (goal, "goal"))]
     (region, count, which), (_, _, other) = sorted(floods, key=lambda flood: flood[1])
     description = f"the {which} is connected to {count} of {grid.size} nodes, and the {other} is not among them"
-    return Region(description, grid, lattice.unbordered(region))
+    return Region(description, grid, lattice.remove_border(region))
 
 
 def prove_infeasible(problem: Problem, numbers: Sequence[int] | None = None) -> list[NoPathError | None]:
@@ -240,7 +240,7 @@ def prove_infeasible(problem: Problem, numbers: Sequence[int] | None = None) -> 
         left = [number for number in remaining if abs(problem.goals[number][0] - yaw) < 1e-9]  # on the same grid
         remaining = [number for number in remaining if number not in left]
         for yaw_range_deg in WIDTHS:
-            attempt = flood_attempt(problem.to(numbers[0]), yaw_range_deg)
+            attempt = flood_attempt(problem.with_goals(numbers[0]), yaw_range_deg)
             if attempt is None or not left:
                 break
             found = enclosed_goals(problem, attempt, left, explained=left[0] == first)
@@ -253,7 +253,7 @@ def prove_infeasible(problem: Problem, numbers: Sequence[int] | None = None) -> 
 
 def describe_proof(problem: Problem) -> str:
     """Phrase for errors that names the grids of an attempted proof."""
-    widest = flood_attempt(problem.to(0), WIDTHS[-1])
+    widest = flood_attempt(problem.with_goals(0), WIDTHS[-1])
     if widest is None:
         return "no grid over all yaws fits"
     return f"grids down to {step_deg(problem, widest):g} deg"

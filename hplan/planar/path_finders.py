@@ -95,7 +95,7 @@ class TwoLevelGrid:
             if number in failures:
                 continue
             try:
-                yield from self._paths_to(problem.to(number), number, budget)
+                yield from self._paths_to(problem.with_goals(number), number, budget)
             except NoPathError as error:
                 failures[number] = error.plain if isinstance(error, EnclosedError) and number else error
                 error.with_traceback(None)  # it would keep grids in memory
@@ -158,7 +158,7 @@ class FirstGridPaths(FirstPaths):
     Goals are excluded by a flood of the grid.
     """
 
-    def excluded(self, problem: Problem) -> Sequence[NoPathError | None]:
+    def prove_excluded(self, problem: Problem) -> Sequence[NoPathError | None]:
         """Infeasibility proof of each goal on the planar grid; None without one."""
         attempt, numbers = GridAttempt(), range(len(problem.goals))
         if count_nodes(problem, attempt) > _LARGE:
@@ -169,7 +169,7 @@ class FirstGridPaths(FirstPaths):
 class TreesAndGrids(Trees):
     """Paths of pairs of trees and of several coarse grids."""
 
-    def others(self, problem: Problem, number: int) -> Sequence[Path]:
+    def other_paths(self, problem: Problem, number: int) -> Sequence[Path]:
         """Paths on coarse grids, compared with paths of trees."""
         found: list[Path] = []
         effort = problem.effort

@@ -38,7 +38,7 @@ _Transit = TypeVar("_Transit", bound=Motion)
 
 def retreat_of(approach: Motion) -> Motion:
     """The approach reversed in time; accelerations, torques and distances are unchanged."""
-    return replace(approach.reversed, name="retreat")
+    return replace(approach.reversal, name="retreat")
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +58,9 @@ class Approach:
     _shown: dict[int, Motion | None] = field(init=False, default_factory=dict)
 
     @cached_property
-    def touching(self) -> Problem:
+    def touching_problem(self) -> Problem:
         """The problem in which the last link may touch the fruit (`hplan.certificate.goal_contact`)."""
-        return self.problem.among(self.target.world_touching)
+        return self.problem.in_world(self.target.world_touching)
 
     @cached_property
     def from_rest(self) -> Motion | None:
@@ -73,7 +73,7 @@ class Approach:
         path = self.grasp.path(self.problem.robot, self.problem.scene.locked_joints)
         if path is None:
             return None
-        return Motion("approach", *certified_trajectory(self.touching, path, self._contact_stretches))
+        return Motion("approach", *certified_trajectory(self.touching_problem, path, self._contact_stretches))
 
     @property
     def motions(self) -> tuple[Motion, ...]:
@@ -89,7 +89,7 @@ class Approach:
         return (there,) if self.target.fruit is None else (there, retreat_of(there))
 
     @cached_property
-    def farthest(self) -> float:
+    def maximum_length(self) -> float:
         """Maximum distance of a clear straight approach [m].
 
         At least the stand-off distance, at most `LEADS` beyond it.
@@ -104,7 +104,9 @@ class Approach:
         path = grasp.line(robot, locked, possible)
         away = np.linspace(grasp.distance, possible, 16)
         field = self.target.transit_world(grasp).field
-        touching = np.flatnonzero(field.along(path.evaluate((1.0 - away / possible) * path.end)).min(axis=1) < 0.0)
+        touching = np.flatnonzero(
+            field.clearance_along(path.evaluate((1.0 - away / possible) * path.end)).min(axis=1) < 0.0
+        )
         return float(away[max(0, touching[0] - 1)]) if len(touching) else possible
 
     def non_stop(self, lead: float) -> Trajectory | None:
@@ -117,15 +119,17 @@ class Approach:
         Args:
             lead: Extra starting distance, as a fraction of the approach length.
         """
-        longer = min(self.farthest, (1.0 + lead) * self.grasp.distance)
+        longer = min(self.maximum_length, (1.0 + lead) * self.grasp.distance)
         if longer not in self._known:
             self._known[longer] = self._non_stop(longer)
         return self._known[longer]
 
-    def certified(self, approach: Trajectory) -> Motion | None:
+    def certify_lead(self, approach: Trajectory) -> Motion | None:
         """A non-stop approach with its certificate; None if it is not certified."""
         if id(approach) not in self._shown:
-            shown = certificate_of(self.touching, approach, self._contact_stretches(approach), rest_to_rest=False)
+            shown = certificate_of(
+                self.touching_problem, approach, self._contact_stretches(approach), rest_to_rest=False
+            )
             self._shown[id(approach)] = Motion("approach", approach, shown) if shown.verified else None
         return self._shown[id(approach)]
 
@@ -136,14 +140,14 @@ class Approach:
             return None
         path = grasp.line(robot, self.problem.scene.locked_joints, longer)
         try:
-            whole = timed(self.touching, path)
+            whole = timed(self.touching_problem, path)
         except TimingError:
             return None
         check_deadline()
         tool = robot.tool_positions(whole.position)
         beyond = np.linalg.norm(tool - tool[-1], axis=1) >= grasp.distance - 1e-9
-        there = whole.since(int(np.flatnonzero(beyond)[-1]))
-        return there if _off_line(robot, there, grasp) <= 1e-4 else None
+        there = whole.cut_before(int(np.flatnonzero(beyond)[-1]))
+        return there if _line_deviation(robot, there, grasp) <= 1e-4 else None
 
     def _contact_stretches(self, approach: Trajectory) -> list[Stretch]:
         """The segments and obstacles to certify an approach against.
@@ -155,7 +159,7 @@ class Approach:
         return stretches(self.target.world.checker, approach.time, contacts)
 
 
-def _off_line(robot: Robot, approach: Trajectory, grasp: Grasp) -> float:
+def _line_deviation(robot: Robot, approach: Trajectory, grasp: Grasp) -> float:
     """Maximum distance of the tool from the straight approach line [m].
 
     Evaluated at the samples and at three points between any two of them.
@@ -168,7 +172,7 @@ def _off_line(robot: Robot, approach: Trajectory, grasp: Grasp) -> float:
     return float(np.linalg.norm(away, axis=1).max())
 
 
-def blended(
+def blend(
     problem: Problem, transit: _Transit, before: Approach | None, after: Approach | None
 ) -> tuple[Motion | None, _Transit, Motion | None] | None:
     """The fastest motion without a stop at the stand-offs.
@@ -202,7 +206,7 @@ def blended(
         if known and all(one is other for one, other in zip(known, approaches, strict=True)):
             break  # the stand-offs leave no more room
         known = approaches
-        spline = _between(problem, transit.trajectory, approaches)
+        spline = _blend_between(problem, transit.trajectory, approaches)
         if spline is not None:
             pairs = zip(at_rest, approaches, strict=True)
             saved_s = sum(
@@ -222,13 +226,13 @@ def blended(
     for total_s, spline, approaches in reversed(found):  # fastest first
         if total_s > limit_s:
             break
-        certified = _certified(problem, transit, spline, [*zip(sides, approaches, strict=True)])
+        certified = _certify_blend(problem, transit, spline, [*zip(sides, approaches, strict=True)])
         if certified is not None:
             return certified
     return None
 
 
-def _certified(
+def _certify_blend(
     problem: Problem,
     transit: _Transit,
     spline: TimedSpline,
@@ -237,7 +241,7 @@ def _certified(
     """The motions with their certificates; None if one is not certified."""
     shown: list[Motion | None] = []
     for side, approach in sides:
-        shown.append(None if side is None or approach is None else side.certified(approach))
+        shown.append(None if side is None or approach is None else side.certify_lead(approach))
         if shown[-1] is None and approach is not None:
             return None
     trajectory = spline.trajectory(problem.robot.dynamics, problem.options.rate_hz)
@@ -246,10 +250,12 @@ def _certified(
         return None
     leaving, coming = shown
     retreat = None if leaving is None else retreat_of(leaving)
-    return retreat, transit.made(trajectory, certificate, spline.path), coming
+    return retreat, transit.with_trajectory(trajectory, certificate, spline.path), coming
 
 
-def _between(problem: Problem, transit: Trajectory, approaches: Sequence[Trajectory | None]) -> TimedSpline | None:
+def _blend_between(
+    problem: Problem, transit: Trajectory, approaches: Sequence[Trajectory | None]
+) -> TimedSpline | None:
     """The fastest motion between non-stop approaches; None if not found.
 
     It is near the transit; an end without a non-stop approach is at rest.
@@ -259,7 +265,7 @@ def _between(problem: Problem, transit: Trajectory, approaches: Sequence[Traject
         return None
     first, last = (BoundaryState.at_rest(transit.position[end]) for end in (0, -1))
     if leaving is not None:
-        first = BoundaryState.of_row(leaving.reversed, -1)
+        first = BoundaryState.of_row(leaving.reversal, -1)
     if coming is not None:
         last = BoundaryState.of_row(coming, 0)
     with stage("timing"):

@@ -19,7 +19,7 @@ from typing import TypeAlias
 from hplan.base.deadline import TimeIsUpError, time_limit
 from hplan.certificate.certificate import GoalContact, certify
 from hplan.certificate.moving_obstacles import checker_in_time
-from hplan.certificate.touch_risk import Share, TouchRisk, touch_risk
+from hplan.certificate.touch_risk import RiskShare, TouchRisk, touch_risk
 from hplan.errors import (
     BlockedError,
     CertificationError,
@@ -59,7 +59,7 @@ class _Allocation:
     rest: float
     near: Mapping[str, float]
 
-    def of(self, name: str) -> float:
+    def growth_of(self, name: str) -> float:
         """Growth of one obstacle, in standard deviations."""
         return self.near.get(name, self.rest)
 
@@ -102,7 +102,7 @@ def _solved_at_risk(problem: Problem, risk: float, solve: Solved) -> PlanResult:
     deviations = {name: largest_deviation(error + shared) for name, error in scene.errors.items()}
     best: tuple[PlanResult, TouchRisk] | None = None
     least = 1.0
-    allocation = _Allocation(_away(_FIRST * risk), {})
+    allocation = _Allocation(_normal_quantile(_FIRST * risk), {})
     room: dict[str, float] = {}
     # The rest of the time is for the bounds of the motions.
     deadline_s = None if options.deadline_s is None else 0.6 * options.deadline_s
@@ -110,7 +110,7 @@ def _solved_at_risk(problem: Problem, risk: float, solve: Solved) -> PlanResult:
         sigmas = _sigmas(allocation, deviations, scene.clearance, room)
         try:
             asked = replace(options, risk=None, sigmas=sigmas or 0.0, deadline_s=deadline_s)
-            result = solve(Problem.of(problem.robot, scene, asked))
+            result = solve(Problem.from_scene(problem.robot, scene, asked))
             shown = _risk_of(result, scene, risk)
         except (NotInTimeError, TimeIsUpError):
             if best is None:
@@ -127,19 +127,19 @@ def _solved_at_risk(problem: Problem, risk: float, solve: Solved) -> PlanResult:
         except (BlockedError, NoPathError, NotFoundError, CertificationError, TimingError):
             if best is not None:
                 break
-            if allocation.rest <= _away(risk):
+            if allocation.rest <= _normal_quantile(risk):
                 raise
             # Smaller growths may admit a motion that is near to only one obstacle.
-            allocation = _Allocation(_away(risk), {})
+            allocation = _Allocation(_normal_quantile(risk), {})
             continue
         is_within = shown.bound <= risk
         least = min(least, shown.bound)
         if is_within and (best is None or result.trajectory.duration < best[0].trajectory.duration):
             best = result, shown
-        near = _near(shown, allocation, deviations, scene.clearance)
+        near = _active_shares(shown, allocation, deviations, scene.clearance)
         if is_within and (shown.bound >= _ENOUGH * risk or not near):
             break
-        allocation = _reallocated(allocation, shown, near, risk, deviations)
+        allocation = _reallocate(allocation, shown, near, risk, deviations)
     if best is None:
         raise CertificationError(
             f"no motion was found whose contact probability is at most {risk:g}: the lowest bound that was "
@@ -157,7 +157,7 @@ def _risk_of(result: PlanResult, scene: Scene, risk: float) -> TouchRisk:
     return touch_risk(result.certificate.subject, scene, risk)
 
 
-def _away(probability: float) -> float:
+def _normal_quantile(probability: float) -> float:
     """The standard normal quantile that is exceeded with a probability."""
     # Clamped to [1e-12, 0.45]: outside, the quantile is infinite, or not positive.
     return NormalDist().inv_cdf(1.0 - min(max(probability, 1e-12), 0.45))
@@ -187,44 +187,44 @@ def _sigmas(
 ) -> dict[str, float]:
     """Growth of each obstacle as `PlanOptions.sigmas`, less the required clearance."""
     return {
-        name: min(max(0.0, allocation.of(name) - clearance / deviation), room.get(name, math.inf) / deviation)
+        name: min(max(0.0, allocation.growth_of(name) - clearance / deviation), room.get(name, math.inf) / deviation)
         for name, deviation in deviations.items()
         if deviation > 0.0
     }
 
 
-def _near(
+def _active_shares(
     shown: TouchRisk, allocation: _Allocation, deviations: Mapping[str, float], clearance: float
-) -> tuple[Share, ...]:
+) -> tuple[RiskShare, ...]:
     """The obstacles that the motion approaches as closely as their growth allows."""
     return tuple(
         share
         for share in shown.shares
         if share.clearance_m
-        <= max(clearance, allocation.of(share.obstacle) * deviations[share.obstacle])
+        <= max(clearance, allocation.growth_of(share.obstacle) * deviations[share.obstacle])
         + (_NEAR * deviations[share.obstacle] + _NEAR_M)
     )
 
 
-def _reallocated(
+def _reallocate(
     allocation: _Allocation,
     shown: TouchRisk,
-    near: Sequence[Share],
+    near: Sequence[RiskShare],
     risk: float,
     deviations: Mapping[str, float],
 ) -> _Allocation:
     """The next allocation, for a bound a little below the risk."""
     if shown.shared > 0.0 or not near:
         # With a shared error, scale all growths by the same factor.
-        factor = _away(_NEXT * risk) / _away(shown.bound)
+        factor = _normal_quantile(_NEXT * risk) / _normal_quantile(shown.bound)
         return _Allocation(allocation.rest * factor, {name: z * factor for name, z in allocation.near.items()})
     others = shown.bound - sum(share.probability for share in near)
     each = max(_NEXT * risk - others, 0.1 * risk) / len(near)
     moved = {}
     for share in near:
-        by = share.clearance_m * (_away(each) / _away(share.probability) - 1.0)
-        moved[share.obstacle] = max(0.0, allocation.of(share.obstacle) + by / deviations[share.obstacle])
-    return _Allocation(_away(each), {**allocation.near, **moved})
+        by = share.clearance_m * (_normal_quantile(each) / _normal_quantile(share.probability) - 1.0)
+        moved[share.obstacle] = max(0.0, allocation.growth_of(share.obstacle) + by / deviations[share.obstacle])
+    return _Allocation(_normal_quantile(each), {**allocation.near, **moved})
 
 
 def _among_what_was_seen(problem: Problem, result: PlanResult, shown: TouchRisk) -> PlanResult:

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Self
 
-from hplan.optimization.minimize_time import Effort as OptimizerEffort
 from hplan.optimization.minimize_time import Level
+from hplan.optimization.minimize_time import OptimizerEffort as OptimizerEffort
 from hplan.optimization.several_starts import StartsEffort
 from hplan.planning.options import EffortName, PlanOptions
 
@@ -65,7 +65,7 @@ class Effort:
     proof_nodes: float = 0.0
     at_once: bool = False
 
-    def seeded(self, seed: int) -> Self:
+    def with_seed(self, seed: int) -> Self:
         """The effort with other random seeds."""
         long = replace(self.long, seed=seed + self.long.seed)
         return replace(self, trees=replace(self.trees, seed=seed), long=long)
@@ -75,7 +75,7 @@ class Effort:
 CLOSE = 1.15
 
 #: A motion beyond this multiple may well pass obstacles on the wrong side.
-FAR = 1.3
+FAR_FROM_BOUND = 1.3
 
 #: Distance between the tree seeds of two plans whose option `seed` differs by one.
 _SEEDS = 1000
@@ -94,7 +94,7 @@ def near_one(*levels: Level) -> StartsEffort:
 
 
 #: A first motion is improved with few segments and long steps.
-_AT_ONCE = near_one(replace(COARSE, steps=8, gain=0.02, trust=1.0, enough=0.02))
+_FIRST_SOLUTION = near_one(replace(COARSE, steps=8, gain=0.02, trust=1.0, enough=0.02))
 
 #: Of 400 random scenes of a UR5 and an iiwa, twelve had a path that the first trees had missed. Other pairs needed
 #: 2,400 to 60,000 distance queries, and one of two pairs found eleven of the twelve within this many: a goal is refused
@@ -156,10 +156,10 @@ def efforts_of(presets: Mapping[EffortName, Effort], options: PlanOptions) -> tu
     fewer starts finds, so `best` includes `default`.
     """
     requested, quick = presets[options.effort], presets["quick"]
-    first = replace(requested, starts=_AT_ONCE, begun=quick.begun, long=NO_TREES, proof_nodes=0.0, at_once=True)
+    first = replace(requested, starts=_FIRST_SOLUTION, begun=quick.begun, long=NO_TREES, proof_nodes=0.0, at_once=True)
     efforts = (
         *((first,) if options.deadline_s is not None else ()),
         *((presets["default"],) if options.effort == "best" else ()),
         requested,
     )
-    return efforts if options.seed == 0 else tuple(effort.seeded(_SEEDS * options.seed) for effort in efforts)
+    return efforts if options.seed == 0 else tuple(effort.with_seed(_SEEDS * options.seed) for effort in efforts)

@@ -36,7 +36,7 @@ class UnexplainedNoPathError(NoPathError):
     """
 
     @abstractmethod
-    def explained(self) -> NoPathError:
+    def explain(self) -> NoPathError:
         """Return the error with the blocking obstacles."""
 
 
@@ -67,7 +67,7 @@ class FailuresError(Exception):
         """
         first, count = self.errors[0], len(self.errors)
         if isinstance(first, NoPathError) and self.is_proof:
-            shown = first.explained() if isinstance(first, UnexplainedNoPathError) else first
+            shown = first.explain() if isinstance(first, UnexplainedNoPathError) else first
             detail = shown.message.removeprefix("no path exists on the grid: ")
             message = f"no path exists on the grid to any of {count} {goals}; to the first of them: {detail}"
             return (
@@ -77,7 +77,9 @@ class FailuresError(Exception):
             )
         if count == 1:
             return first
-        tally = Counter(_reason(error) for error in self.errors).most_common()  # in order of appearance if equal
+        tally = Counter(
+            _explain_reason(error) for error in self.errors
+        ).most_common()  # in order of appearance if equal
         reasons = [{"reason": reason, "goals": number} for reason, number in tally]
         if all(isinstance(error, NoPathError | NotFoundError) for error in self.errors):
             missed = next(error for error in self.errors if isinstance(error, NotFoundError))
@@ -92,5 +94,5 @@ class FailuresError(Exception):
         return CertificationError(message, goals=count, reasons=reasons)
 
 
-def _reason(error: HplanError) -> str:
+def _explain_reason(error: HplanError) -> str:
     return "no path exists on the grid" if isinstance(error, NoPathError) else error.message

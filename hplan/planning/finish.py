@@ -29,7 +29,7 @@ from hplan.errors import (
     TimingError,
 )
 from hplan.geometry.polyline import path_length
-from hplan.optimization.repair import pushed_clear, repaired
+from hplan.optimization.repair import pushed_clear, repair
 from hplan.optimization.smooth_path import SMALLEST_FRACTION
 from hplan.planning.motion import Plan, Transit, certified_trajectory, quickest
 from hplan.planning.options import PlanOptions
@@ -115,18 +115,20 @@ def finish(
         )
     with stage_clock(progress) as clock, time_limit(options.deadline_s, cancel) as limit:
         try:
-            return _finished(Problem.of(robot, along, options), path, keep_within_rad)
+            return _finish_path(Problem.from_scene(robot, along, options), path, keep_within_rad)
         except TimeIsUpError:
             raise limit.error(clock.describe()) from None
 
 
-def _finished(problem: Problem, path: GivenPath, keep_within_rad: float | None) -> PlanResult:
+def _finish_path(problem: Problem, path: GivenPath, keep_within_rad: float | None) -> PlanResult:
     """The result for a validated path."""
     points = path.points
     problem.world.check_base()
     clear, moved = _shown_clear(problem, path)
-    problem = problem.between(points[0], points[-1])
-    motion = _smoothed(problem, clear) if keep_within_rad is None else _kept(problem, clear, keep_within_rad)
+    problem = problem.from_configurations(points[0], points[-1])
+    motion = (
+        _smooth_path(problem, clear) if keep_within_rad is None else _round_corners(problem, clear, keep_within_rad)
+    )
     given: dict[str, Any] = {
         "waypoints": path.count,
         "moved_segments": list(moved),
@@ -150,7 +152,7 @@ def _shown_clear(problem: Problem, path: GivenPath) -> tuple[FloatArray, tuple[i
     # Fraction of the margin required of the path itself; smoothing uses the whole margin if possible.
     path_margin = 0.1
     with stage("postprocess"):
-        spare = float(field.along(points[[0, -1]]).min())
+        spare = float(field.clearance_along(points[[0, -1]]).min())
         margin = path_margin * min(MARGIN, 0.5 * spare) if spare > 0.0 else path_margin * MARGIN
         if spare > 0.0 and field.is_clear(points, margin):
             return points, ()
@@ -163,7 +165,7 @@ def _shown_clear(problem: Problem, path: GivenPath) -> tuple[FloatArray, tuple[i
         lower, upper = (np.where(locked, points[0], bound) for bound in (problem.robot.lower, problem.robot.upper))
         clear, unmoved = pushed_clear(points, field, lower, upper, margin)
         if unmoved:
-            clear, unmoved = repaired(points, field, lower, upper, margin)
+            clear, unmoved = repair(points, field, lower, upper, margin)
         if unmoved and places:
             raise refuse(path, places)
         moved = [number for number in range(len(points) - 1) if not field.is_clear(points[number : number + 2], margin)]
@@ -177,7 +179,7 @@ def _shown_clear(problem: Problem, path: GivenPath) -> tuple[FloatArray, tuple[i
     return clear, segments
 
 
-def _smoothed(problem: Problem, waypoints: FloatArray) -> Transit:
+def _smooth_path(problem: Problem, waypoints: FloatArray) -> Transit:
     """The motion along the path, shortened and smoothed.
 
     If it cannot be certified, the motion along the path with rounded corners.
@@ -186,15 +188,15 @@ def _smoothed(problem: Problem, waypoints: FloatArray) -> Transit:
         return quickest(problem, [Path(waypoints, "given")], problem.margin)
     except (CertificationError, TimingError):
         with suppress(CertificationError, TimingError):
-            return _kept(problem, waypoints, ROUNDING)
+            return _round_corners(problem, waypoints, LARGEST_ROUNDING)
         raise
 
 
 #: Maximum distance from the polyline if the corners are only rounded because nothing else can be certified [rad].
-ROUNDING = 0.02
+LARGEST_ROUNDING = 0.02
 
 
-def _kept(problem: Problem, waypoints: FloatArray, deviation_rad: float) -> Transit:
+def _round_corners(problem: Problem, waypoints: FloatArray, deviation_rad: float) -> Transit:
     """The motion along the path with its corners rounded.
 
     The rounding is as large as can be verified collision-free.
@@ -332,8 +334,8 @@ def places_of(world: World, path: GivenPath, margin: float) -> Iterator[Place]:
         margin: Clearance beyond the required one for motions to be verified collision-free [m].
     """
     points = path.points
-    low = np.flatnonzero(world.field.along(points).min(axis=1) < margin).tolist()
-    near = {number: _judged(world, points[number]) for number in low}
+    low = np.flatnonzero(world.field.clearance_along(points).min(axis=1) < margin).tolist()
+    near = {number: _check_with_coal(world, points[number]) for number in low}
     for number in range(len(points)):
         error = near.get(number)
         if error is not None:
@@ -375,7 +377,7 @@ def _facts(path: GivenPath, place: Place) -> dict[str, object]:
     }
 
 
-def _judged(world: World, q: FloatArray) -> ConfigurationInCollisionError | None:
+def _check_with_coal(world: World, q: FloatArray) -> ConfigurationInCollisionError | None:
     """Check a configuration with coal: the error, or None if clear."""
     try:
         world.check_clear(q, "it")
@@ -390,12 +392,12 @@ def _nearest(world: World, ends: FloatArray, number: int) -> Place | None:
     travel = float((reach(world.robot) @ np.abs(step)).max(initial=0.0))
     count = int(min(max(2, math.ceil(travel / STEP_M)), MOST_STEPS))
     fractions = np.linspace(0.0, 1.0, count + 1)
-    clearances = world.field.along(first + fractions[:, None] * step).min(axis=1)
+    clearances = world.field.clearance_along(first + fractions[:, None] * step).min(axis=1)
     deepest: tuple[float, ConfigurationInCollisionError] | None = None
 
     def look_at(fraction: float) -> None:
         nonlocal deepest
-        error = _judged(world, first + fraction * step)
+        error = _check_with_coal(world, first + fraction * step)
         if error is not None and (deepest is None or _excess(error) > _excess(deepest[1])):
             deepest = fraction, error
 
@@ -412,7 +414,7 @@ def _nearest(world: World, ends: FloatArray, number: int) -> Place | None:
         width *= 0.5
         tried = np.clip([centre - width, centre, centre + width], 0.0, 1.0)
         if deepest is None:
-            centre = float(tried[ties.argmin(world.field.along(first + tried[:, None] * step).min(axis=1))])
+            centre = float(tried[ties.argmin(world.field.clearance_along(first + tried[:, None] * step).min(axis=1))])
             look_at(centre)
         else:
             for fraction in (tried[0], tried[2]):

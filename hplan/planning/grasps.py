@@ -32,7 +32,7 @@ from hplan.collision.reach import reach as reach_of_bodies
 from hplan.errors import BlockedError, UnreachableError
 from hplan.kinematics.approach_angles import Candidates
 from hplan.kinematics.inverse_kinematics import inverse_kinematics
-from hplan.kinematics.straight_line import StraightLine, lines_back
+from hplan.kinematics.straight_line import ToolLine, lines_back
 from hplan.kinematics.tool_at_point import approach_angles
 from hplan.planning.joint_ranges import LEAST_MARGIN, JointRanges
 from hplan.planning.options import PlanOptions
@@ -47,7 +47,7 @@ from hplan.scene.model import Fruit, Scene
 _DRAWS, SAME = 4096, 0.005
 
 
-def caught(approaches: FloatArray, covariance: FloatArray, capture_m: tuple[float, float]) -> FloatArray:
+def capture_probabilities(approaches: FloatArray, covariance: FloatArray, capture_m: tuple[float, float]) -> FloatArray:
     """(k,) probabilities that a fruit is within capture range.
 
     Args:
@@ -112,13 +112,13 @@ class Grasp(Record):
     keeps_turn: bool = False
     caught: float | None = None
 
-    def path(self, robot: Robot, locked: Sequence[str] = ()) -> StraightLine | None:
+    def path(self, robot: Robot, locked: Sequence[str] = ()) -> ToolLine | None:
         """The approach; None for a grasp without one."""
         return None if self.distance <= 0.0 else self.line(robot, locked, self.distance)
 
-    def line(self, robot: Robot, locked: Sequence[str], length: float) -> StraightLine:
+    def line(self, robot: Robot, locked: Sequence[str], length: float) -> ToolLine:
         """The straight approach of a length [m]."""
-        return StraightLine(robot, self.goal, length, tuple(locked), self.keeps_turn)
+        return ToolLine(robot, self.goal, length, tuple(locked), self.keeps_turn)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +160,7 @@ class Target(Record):
         """
         least = fruit.radius + tool_thickness(world.robot, world.deviation) + world.clearance + 2.0 * SPARE
         return cls(
-            f"fruit {fruit.name!r}", fruit.center, world, world.touching(fruit.name, fruit.hangs_from),
+            f"fruit {fruit.name!r}", fruit.center, world, world.allow_touch(fruit.name, fruit.hangs_from),
             scene.goal.approach_deg, fruit, least, capture_m=options.capture_m,
             covariance=fruit.place_covariance + scene.shared_error,
         )  # fmt: skip
@@ -193,7 +193,7 @@ class Blocked(Record):
     refined: int
 
     @property
-    def tried(self) -> int:
+    def number_tried(self) -> int:
         """Total number of configurations tried."""
         return len(self.configurations) + self.refined
 
@@ -203,7 +203,7 @@ class Blocked(Record):
         It is at the configuration, or blocks a joint on every path to it.
         """
         wall = self.ranges.wall_before(q)
-        return self.target.world_touching.checker.nearest(q) if wall is None else wall.contact
+        return self.target.world_touching.checker.nearest_contact(q) if wall is None else wall.contact
 
     def error(self) -> BlockedError:
         """Error that names the obstacles blocking the configurations, the most frequent first."""
@@ -280,20 +280,20 @@ def grasps_or_blocked(
     lengths = _distances(standoff, target.least_standoff)
 
     @cache
-    def along(length: float) -> tuple[BoolArray, FloatArray]:
+    def approaches_of_length(length: float) -> tuple[BoolArray, FloatArray]:
         return straight_approaches(robot, goals, length, locked, keeps_turn)
 
     direct = {i: (0.0, goal) for i, goal in enumerate(goals)}
     for less in (room, *(less for less in ROOMS if less < room)):
-        chosen = _clear_approaches(target, ranges, along, lengths, less)
+        chosen = _clear_approaches(target, ranges, approaches_of_length, lengths, less)
         if chosen:
-            approached = _sorted(target, found, chosen, start)
+            approached = _sort_grasps(target, found, chosen, start)
             # Grasps with less clearance may fail certification, so direct motions follow them.
-            return approached if less == room else (*approached, *_sorted(target, found, direct, start))
-    return _sorted(target, found, direct, start)
+            return approached if less == room else (*approached, *_sort_grasps(target, found, direct, start))
+    return _sort_grasps(target, found, direct, start)
 
 
-def _sorted(
+def _sort_grasps(
     target: Target, found: Candidates, chosen: dict[int, tuple[float, FloatArray]], start: FloatArray
 ) -> tuple[Grasp, ...]:
     """Return grasps for the chosen approaches, sorted by minimum duration.
@@ -303,15 +303,17 @@ def _sorted(
     numbers, robot = list(chosen), target.world.robot
     goals, begins = found.configurations[numbers], np.array([begin for _, begin in chosen.values()])
     distances = np.array([distance for distance, _ in chosen.values()])
-    before = np.where(distances > 0.0, target.world.field.along(begins).min(axis=1), SPARE)
-    rooms = np.minimum(np.minimum(target.world_touching.field.along(goals).min(axis=1), before), SPARE).tolist()
+    before = np.where(distances > 0.0, target.world.field.clearance_along(begins).min(axis=1), SPARE)
+    rooms = np.minimum(
+        np.minimum(target.world_touching.field.clearance_along(goals).min(axis=1), before), SPARE
+    ).tolist()
     limits = robot.velocity_limit, robot.acceleration_limit
     turns = np.abs(begins - start), np.abs(goals - begins)
     least = sum(rest_to_rest(turn, *limits).max(axis=1) for turn in turns)
     shares = None
     if target.capture_m is not None and target.covariance is not None:
         ahead = robot.forward_kinematics(goals)[:, :3, :3] @ robot.tool_axis
-        shares = caught(ahead, target.covariance, target.capture_m)
+        shares = capture_probabilities(ahead, target.covariance, target.capture_m)
     return tuple(
         Grasp(
             frozen(goals[i].copy()), chosen[numbers[i]][1], float(distances[i]), float(found.approach[numbers[i]]),
@@ -322,7 +324,7 @@ def _sorted(
     )  # fmt: skip
 
 
-def promising(found: Sequence[Grasp], target: Target, start: FloatArray) -> list[Grasp]:
+def select_promising(found: Sequence[Grasp], target: Target, start: FloatArray) -> list[Grasp]:
     """Return the first grasp with a straight motion, and some quicker ones.
 
     The latter are an even selection of the grasps before it.
@@ -361,7 +363,7 @@ def _clear_candidates(
             found = sampler.at_point(
                 robot, target.position, approach_deg=angle, count=count, start=start, locked=tuple(locked)
             )
-        rooms: FloatArray = target.world_touching.field.along(found.configurations).min(axis=1)
+        rooms: FloatArray = target.world_touching.field.clearance_along(found.configurations).min(axis=1)
         rooms[~ranges.hold(found.configurations)] = _BEYOND
         return found, rooms
 
@@ -412,7 +414,7 @@ def _clear_approaches(
             break
         begins = approaches[:, -1]
         clear = feasible & ranges.hold(begins)
-        clear[clear] = target.world.field.along(begins[clear]).min(axis=1) > room
+        clear[clear] = target.world.field.clearance_along(begins[clear]).min(axis=1) > room
         for i in np.flatnonzero(clear).tolist():
             if i not in chosen and target.world_touching.field.is_clear(approaches[i], 0.5 * room):
                 chosen[i] = length, frozen(begins[i].copy())

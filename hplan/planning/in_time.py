@@ -25,9 +25,9 @@ from hplan.planning.problem import Problem
 from hplan.planning.schedule import STEP_S, MovingField, PathInTime, earliest_schedule, room_to_change
 from hplan.planning.start_in_motion import after_stop, stops
 from hplan.scene.model import Fruit, Scene, Start
-from hplan.scene.obstacle_kind import moved
+from hplan.scene.obstacle_kind import transform_fields
 from hplan.scene.obstacles import AnyObstacle, Sphere
-from hplan.trajectory.trajectory import Phase, Retimed, Trajectory, joined, scaled
+from hplan.trajectory.trajectory import Phase, Retimed, Trajectory, join_trajectories, scale_motion
 
 
 def past_moving_obstacles(solve: Solver, stop: Trajectory | None = None) -> Solver:
@@ -60,7 +60,7 @@ def _plans_in_time(problem: Problem, solve: Solver, stop: Trajectory | None) -> 
             moving = None if fruit.track is None else fruit.name
             raise MovingObstacleError(moving, "the fruit to pick must not move relative to the base")
     try:
-        yield from _Search(problem, solve).plans()
+        yield from _TimedSearch(problem, solve).plans()
     except ObstacleInTimeError:
         state = start_state(robot, scene)
         if state is None:
@@ -79,12 +79,12 @@ def stopping_first(problem: Problem, solve: Solver, stop: Motion) -> Plan | None
     """
     stop_s = stop.trajectory.duration
     rest = Start(joints_rad=tuple(stop.trajectory.position[-1].tolist()))
-    after = problem.scene.since(stop_s).copy_unchecked({"start": rest})
-    plan = best_of(solve(Problem.of(problem.robot, after, problem.options)))
-    later, trajectory, _ = plan.whole
-    first, *others = (phase.later(stop_s) for phase in later)
+    after = problem.scene.starting_at(stop_s).copy_unchecked({"start": rest})
+    plan = best_of(solve(Problem.from_scene(problem.robot, after, problem.options)))
+    later, trajectory, _ = plan.join_phases
+    first, *others = (phase.delay(stop_s) for phase in later)
     phases = (replace(first, start_s=0.0), *others)
-    trajectory = joined([stop.trajectory, trajectory])
+    trajectory = join_trajectories([stop.trajectory, trajectory])
     certificate = certified_in_time(problem, trajectory, direct=len(phases) == 1)
     if not certificate.verified:
         return None
@@ -110,7 +110,7 @@ def certified_in_time(
     )  # fmt: skip
 
 
-class _Search:
+class _TimedSearch:
     """A search for plans among moving obstacles, and its state.
 
     Attributes:
@@ -135,9 +135,9 @@ class _Search:
         """
         for path, among in self._scenes():
             try:
-                stills = self._solve(Problem.of(self._robot, among, self._options))
+                stills = self._solve(Problem.from_scene(self._robot, among, self._options))
                 for still in stills if self._options.deadline_s is not None else [best_of(stills)]:
-                    plan = self._past(path, still)
+                    plan = self._plan_along(path, still)
                     if plan is not None and plan.duration < self.best_s - 1e-9:
                         self.best_s = plan.duration
                         yield plan
@@ -171,10 +171,10 @@ class _Search:
         yield "a path around the initial position of the obstacle", among_poses(scene, 0.0, min(when, meanwhile_s))
         yield "a path around the final position of the obstacle", among_poses(scene, scene.at_rest_s, scene.at_rest_s)
 
-    def _past(self, path: str, still: Plan) -> Plan | None:
+    def _plan_along(self, path: str, still: Plan) -> Plan | None:
         """The fastest certified motion along a path, or None."""
-        phases, motion, _ = still.whole
-        certificate = self._certified(still, motion)
+        phases, motion, _ = still.join_phases
+        certificate = self._certify(still, motion)
         if self.first is None:
             self.first = still, certificate
         report = {"path": path, "waits_s": 0.0, "slows_down": False, "at_full_speed_s": motion.duration}
@@ -192,21 +192,21 @@ class _Search:
                 quicker_than_s=self.best_s,
             )
             try:
-                retimed = None if schedule is None else scaled(motion, schedule.profile, self._robot)
+                retimed = None if schedule is None else scale_motion(motion, schedule.profile, self._robot)
             except TimingError:
                 retimed = None
             if schedule is None or retimed is None:
                 self.tried.append(f"{path}: no timing stays {1e3 * spare_s:g} ms away from the moving obstacles")
                 return None
-            certificate = self._certified(still, retimed.trajectory)
+            certificate = self._certify(still, retimed.trajectory)
             if certificate.verified:
                 report |= {"waits_s": schedule.waiting_s, "slows_down": schedule.slows_down}
-                phases = tuple(_later(phase, retimed) for phase in phases)
+                phases = tuple(_retime_phase(phase, retimed) for phase in phases)
                 return _run(still, self._scene, (phases, retimed.trajectory, certificate), report)
             self.tried.append(f"{path}: {certificate.violations[0]}")
         return None
 
-    def _certified(self, still: Plan, motion: Trajectory) -> Certificate:
+    def _certify(self, still: Plan, motion: Trajectory) -> Certificate:
         return certified_in_time(self._problem, motion, direct=not still.others)
 
 
@@ -218,7 +218,7 @@ def _run(
     return replace(plan, transit=transit, run=run, told={"in_time": {**told, "clear_until_s": run[2].clear_until_s}})
 
 
-def _later(phase: Phase, retimed: Retimed) -> Phase:
+def _retime_phase(phase: Phase, retimed: Retimed) -> Phase:
     """A phase on the clock of the retimed motion.
 
     It runs from the last sample at or before its start to the first sample at or after its end.
@@ -239,7 +239,7 @@ def without_moving(scene: Scene) -> Scene:
 
     On a moving base: the other obstacles, at their initial poses.
     """
-    at_first = scene.at(0.0)
+    at_first = scene.snapshot(0.0)
     kept = {item.name for item in (*scene.obstacles, *scene.fruits) if item.track is None}
     return at_first.copy_unchecked(
         {
@@ -262,7 +262,7 @@ def among_poses(scene: Scene, from_s: float, to_s: float) -> Scene:
     still_fruits = tuple(fruit for fruit in scene.fruits if fruit.name not in moving)
     fruits = tuple(fruit for fruit in scene.fruits if fruit.name in moving)
     obstacles: list[AnyObstacle] = [item for item in scene.obstacles if item.name not in moving]
-    items = [*(item for item in scene.obstacles if item.name in moving), *(_ball(fruit) for fruit in fruits)]
+    items = [*(item for item in scene.obstacles if item.name in moving), *(_enclosing_ball(fruit) for fruit in fruits)]
     clock = np.linspace(from_s, to_s, _MOST_POSES)
     poses = scene.poses_at(clock)
     for item in items:
@@ -272,7 +272,7 @@ def among_poses(scene: Scene, from_s: float, to_s: float) -> Scene:
         steps = np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1)
         for number in _apart(steps):
             name = f"{item.name} at {clock[number]:.3f} s"
-            update = moved(item, rotations[number], shifts[number])
+            update = transform_fields(item, rotations[number], shifts[number])
             obstacles.append(item.copy_unchecked(update | {"name": name}))
     return scene.copy_unchecked({"obstacles": tuple(obstacles), "fruits": still_fruits, "base_track": None})
 
@@ -288,7 +288,7 @@ def _apart(steps: FloatArray) -> Iterator[int]:
             yield number
 
 
-def _ball(fruit: Fruit) -> Sphere:
+def _enclosing_ball(fruit: Fruit) -> Sphere:
     """A fruit as an obstacle."""
     keys = ("name", "center", "radius", "sigma", "track", "sway", "yields")
     return Sphere(**{key: getattr(fruit, key) for key in keys})

@@ -17,7 +17,7 @@ from hplan.errors import NoPathError
 from hplan.robot.model import Robot
 
 #: Maximum clearance of the intervals beyond the required one [m]; less if start or goal have less.
-MARGIN: Final = 1e-3
+RANGE_MARGIN: Final = 1e-3
 
 #: A goal out of reach with `MARGIN` is checked again with this margin [m]; less cannot be certified.
 LEAST_MARGIN: Final = 3e-5
@@ -56,7 +56,7 @@ class Wall:
         contact = self.contact
         message = (
             f"no path exists: between start and goal, from {low:.4g} to {high:.4g} deg of joint "
-            f"{robot.joint_names[self.joint]!r}, {contact.link!r} is in {contact.other} or closer than the "
+            f"{robot.joint_names[self.joint]!r}, {contact.link!r} is in {contact.other_name} or closer than the "
             "required clearance, for all positions of the other joints"
         )
         blocker = {"obstacle": contact.obstacle, "link": contact.link, "cells": 0, "slices_deg": (low, high)}

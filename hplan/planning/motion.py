@@ -17,18 +17,18 @@ from hplan.errors import CertificationError, TimingError
 from hplan.kinematics.damped_steps import Chain
 from hplan.optimization.minimize_time import minimize_time
 from hplan.optimization.options import PostprocessOptions
-from hplan.optimization.several_starts import NEAR, StartsEffort, fastest_motions, optimization_starts
+from hplan.optimization.several_starts import NEAR_PATH_M, StartsEffort, fastest_motions, optimization_starts
 from hplan.optimization.smooth_path import clear_path, is_straight, near_field, short_path
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import BoundaryState
 from hplan.planning.grasps import Grasp
-from hplan.planning.path_finder import GridSearch, Origin, Path
+from hplan.planning.path_finder import GridSearchRecord, Origin, Path
 from hplan.planning.problem import Problem
 from hplan.planning.stages import stage
 from hplan.robot.limits import GeometricPath, Limits
 from hplan.trajectory.retime import time_path
 from hplan.trajectory.spline import SplinePath
-from hplan.trajectory.trajectory import Phase, Trajectory, joined
+from hplan.trajectory.trajectory import Phase, Trajectory, join_trajectories
 
 _T = TypeVar("_T")
 _Whole: TypeAlias = tuple[tuple[Phase, ...], Trajectory, Certificate]
@@ -49,11 +49,11 @@ class Motion(Record):
     certificate: Certificate
 
     @property
-    def reversed(self) -> Motion:
+    def reversal(self) -> Motion:
         """The motion reversed in time, with the same distances and torques."""
-        return Motion(self.name, self.trajectory.reversed, self.certificate.reversed)
+        return Motion(self.name, self.trajectory.reversal, self.certificate.reversal)
 
-    def made(self, trajectory: Trajectory, certificate: Certificate, path: SplinePath | None) -> Self:
+    def with_trajectory(self, trajectory: Trajectory, certificate: Certificate, path: SplinePath | None) -> Self:
         """The motion with another trajectory between the same ends, along a path."""
         del path  # only a transit has a path
         return replace(self, trajectory=trajectory, certificate=certificate)
@@ -76,9 +76,9 @@ class Transit(Motion):
     waypoints: FloatArray
     path: SplinePath | None
     origin: Origin
-    search: GridSearch | None = None
+    search: GridSearchRecord | None = None
 
-    def made(self, trajectory: Trajectory, certificate: Certificate, path: SplinePath | None) -> Self:
+    def with_trajectory(self, trajectory: Trajectory, certificate: Certificate, path: SplinePath | None) -> Self:
         """The transit with another trajectory near the same waypoints, along a path."""
         return replace(self, trajectory=trajectory, certificate=certificate, path=path)
 
@@ -113,7 +113,7 @@ class Plan(Record):
         return seconds(self.motions) if self.run is None else self.run[1].duration
 
     @cached_property
-    def whole(self) -> _Whole:
+    def join_phases(self) -> _Whole:
         """Phases, trajectory and certificate of the whole plan."""
         return in_sequence(self.motions) if self.run is None else self.run
 
@@ -138,7 +138,11 @@ def in_sequence(motions: Sequence[Motion], begin_s: float = 0.0) -> _Whole:
     """Phases, trajectory and certificate of consecutive motions from a start time on."""
     ends = np.cumsum([begin_s, *(motion.trajectory.duration for motion in motions)]).tolist()
     phases = tuple(Phase(motion.name, *span) for motion, span in zip(motions, pairwise(ends), strict=True))
-    return phases, joined([motion.trajectory for motion in motions]), all_of([motion.certificate for motion in motions])
+    return (
+        phases,
+        join_trajectories([motion.trajectory for motion in motions]),
+        all_of([motion.certificate for motion in motions]),
+    )
 
 
 def quickest(
@@ -160,7 +164,7 @@ def quickest(
         TimingError: The first polyline's path cannot be timed.
     """
     effort = problem.optimization
-    optimized = None if effort is None else _optimized(problem, polylines, margin, effort, quicker_than_s)
+    optimized = None if effort is None else _optimize(problem, polylines, margin, effort, quicker_than_s)
     if optimized is not None:
         return optimized
     failures: list[CertificationError | TimingError] = []
@@ -215,7 +219,7 @@ def improve(motion: Transit, upright: Chain | None = None) -> Iterator[Transit]:
         quicker = spline.trajectory(program.dynamics, program.rate_hz)
         certificate = certificate_of(problem, quicker)
         if certificate.verified:
-            yield motion.made(quicker, certificate, spline.path)
+            yield motion.with_trajectory(quicker, certificate, spline.path)
 
 
 def _transit(
@@ -264,12 +268,12 @@ def time_problem(
     """
     along = motion.position[np.linspace(0, motion.samples - 1, 33).astype(int)]
     return TimeProblem(
-        problem.field, near_field(along, problem.field, NEAR), smoothing_options(problem, problem.margin),
+        problem.field, near_field(along, problem.field, NEAR_PATH_M), smoothing_options(problem, problem.margin),
         motion_limits(problem), problem.robot.dynamics, problem.options.rate_hz, ends, sway_of(problem),
     )  # fmt: skip
 
 
-def _optimized(
+def _optimize(
     problem: Problem, polylines: Sequence[Path], margin: float, effort: StartsEffort, quicker_than_s: float
 ) -> Transit | None:
     """The fastest certified motion near some polylines from the optimizer.
@@ -337,7 +341,7 @@ def motion_limits(problem: Problem) -> Limits:
     """The robot's limits, scaled by the speed option."""
     robot = problem.robot
     limits = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
-    return limits.scaled(problem.options.speed)
+    return limits.scale(problem.options.speed)
 
 
 def timed(

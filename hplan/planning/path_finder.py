@@ -20,7 +20,7 @@ from hplan.errors import HplanError, NoPathError
 from hplan.optimization.path_classes import PARTS, class_numbers
 from hplan.optimization.shortcut import shorten
 from hplan.optimization.smooth_path import START_SHORTCUTS
-from hplan.planning.effort import FAR, Effort, TreesEffort
+from hplan.planning.effort import FAR_FROM_BOUND, Effort, TreesEffort
 from hplan.planning.failures import FailuresError
 from hplan.planning.problem import Problem
 from hplan.planning.rrt_connect import Pairs, tree_path
@@ -40,7 +40,7 @@ _SHORT = 8_000
 _ONE_BY_ONE = 2
 
 
-class GridSearch(Protocol):
+class GridSearchRecord(Protocol):
     """Record of a search on a grid.
 
     Attributes:
@@ -71,7 +71,7 @@ class Path(NamedTuple):
     waypoints: FloatArray
     origin: Origin
     goal: int = 0
-    search: GridSearch | None = None
+    search: GridSearchRecord | None = None
     margin: float | None = None
 
 
@@ -92,7 +92,7 @@ class Budget:
     error: HplanError | None = None
 
     @classmethod
-    def of(cls, problem: Problem) -> Budget:
+    def from_problem(cls, problem: Problem) -> Budget:
         """The budget of a problem at the start of the search."""
         return cls(problem.effort, np.full(len(problem.goals), math.inf))
 
@@ -135,13 +135,13 @@ class StraightLine:
         The latter have an obstructed line.
         """
         for number in range(len(problem.goals)):
-            if not is_straight_clear(problem.to(number)):
+            if not is_straight_clear(problem.with_goals(number)):
                 continue
             yield (straight_path(problem, number),)
             if math.isinf(budget.durations[number]):
                 continue  # another path may lead to a motion that can be certified
             enough = self._WORTHWHILE * budget.durations[number]
-            better = (other for other in range(number) if problem.to(other).least_duration < enough)
+            better = (other for other in range(number) if problem.with_goals(other).least_duration < enough)
             if (sooner := next(better, None)) is not None:
                 yield from Trees().paths_to(problem, sooner, replace(budget, pairs={}))
             return
@@ -155,7 +155,7 @@ class Trees:
         compared = budget.effort.compared
         for number in range(min(len(problem.goals), max(_ONE_BY_ONE, compared))):
             is_found = math.isfinite(budget.best_s)
-            if is_found and (compared == 1 or problem.to(number).least_duration >= budget.best_s):
+            if is_found and (compared == 1 or problem.with_goals(number).least_duration >= budget.best_s):
                 continue
             yield from self.paths_to(problem, number, budget)
 
@@ -164,7 +164,7 @@ class Trees:
 
         The others are skipped if the motion is close to the fastest.
         """
-        one = problem.to(number)
+        one = problem.with_goals(number)
         first = tree_paths(one, replace(budget.effort.trees, pairs=1), pairs=budget.pairs)
         if first:
             yield (first[0]._replace(goal=number),)
@@ -173,11 +173,11 @@ class Trees:
         found = tree_paths(one, budget.effort.trees, first, 1, budget.pairs)
         if math.isfinite(budget.durations[number]):  # the motion near the first
             found = [path for path in found if path is not first[0]]
-        group = (*self.others(one, number), *(path._replace(goal=number) for path in found))
+        group = (*self.other_paths(one, number), *(path._replace(goal=number) for path in found))
         if group:
             yield group
 
-    def others(self, problem: Problem, number: int) -> Sequence[Path]:
+    def other_paths(self, problem: Problem, number: int) -> Sequence[Path]:
         """Paths from other sources, to compare with the trees' paths."""
         del problem, number
         return ()
@@ -203,7 +203,7 @@ class LongTrees:
                 continue
             yield (path,)
             if budget.error is None and math.isfinite(budget.best_s):
-                if budget.best_s <= FAR * problem.to(path.goal).least_duration:
+                if budget.best_s <= FAR_FROM_BOUND * problem.with_goals(path.goal).least_duration:
                     return
                 # A second pair that takes about as long as this one did.
                 each = min(each, max(_SHORT, 3 * evaluations // 2))
@@ -236,7 +236,7 @@ class FirstPaths:
 
     def _candidates(self, problem: Problem, budget: Budget) -> Iterator[Path]:
         yield from (straight_path(problem, number) for number in range(len(problem.goals)))
-        proofs = self.excluded(problem)
+        proofs = self.prove_excluded(problem)
         if all(proofs):
             raise FailuresError(tuple(error for error in proofs if error is not None))
         left = [number for number, error in enumerate(proofs) if error is None]
@@ -244,11 +244,11 @@ class FirstPaths:
         if self.trees is not None:
             trees = replace(self.trees, seed=trees.seed)
         for seed in range(trees.seed, trees.seed + trees.pairs):
-            path, _ = tree_to_any(problem.to(*left), trees.each, seed)
+            path, _ = tree_to_any(problem.with_goals(*left), trees.each, seed)
             if path is not None:
                 yield path._replace(goal=left[path.goal])
 
-    def excluded(self, problem: Problem) -> Sequence[NoPathError | None]:
+    def prove_excluded(self, problem: Problem) -> Sequence[NoPathError | None]:
         """For each goal the proof that no path leads there, or None."""
         return [None] * len(problem.goals)
 
@@ -285,7 +285,7 @@ def tree_paths(
         velocity, shorter = problem.robot.velocity_limit, [shortened(problem, path) for path in found]
         order = ties.argsort([path_time(points, velocity) for points in shorter]).tolist()
         if len(found) > OF_A_CLASS:
-            points = np.stack([_evenly(shorter[number], velocity) for number in order])
+            points = np.stack([_sample_evenly(shorter[number], velocity) for number in order])
             classes = class_numbers(points, problem.field)
             order = [k for n, k in enumerate(order) if np.count_nonzero(classes[:n] == classes[n]) < OF_A_CLASS]
         return [found[number] for number in order]
@@ -304,7 +304,7 @@ def path_time(path: FloatArray, velocity: FloatArray) -> float:
     return float((np.abs(np.diff(path, axis=0)) / velocity).max(axis=1).sum() + 0.02 * (len(path) - 2))
 
 
-def _evenly(path: FloatArray, velocity: FloatArray) -> FloatArray:
+def _sample_evenly(path: FloatArray, velocity: FloatArray) -> FloatArray:
     """(k, dof) points of a path, at `PARTS` of its duration."""
     clock = np.concatenate([[0.0], np.cumsum((np.abs(np.diff(path, axis=0)) / velocity).max(axis=1))])
     return np.stack([np.interp(PARTS * clock[-1], clock, joint) for joint in path.T], axis=1)
@@ -315,7 +315,7 @@ def tree_to_any(problem: Problem, evaluations: int, seed: int, pairs: Pairs | No
 
     The second value is the number of distance queries spent.
     """
-    margin = 0.1 * min(problem.to(number).margin for number in range(len(problem.goals)))
+    margin = 0.1 * min(problem.with_goals(number).margin for number in range(len(problem.goals)))
     with stage("trees"):
         path, used = tree_path(problem, margin, evaluations, seed, goals=problem.goals, pairs=pairs)
     if path is None:

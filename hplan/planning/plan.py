@@ -81,7 +81,7 @@ def plan(
     check_task(robot, scene, options, progress, takes_risk=True)
     options = PlanOptions() if options is None else options
     with time_limit(options.deadline_s, cancel):
-        return within_risk(partial(solved, progress=progress))(Problem.of(robot, scene, options))
+        return within_risk(partial(solved, progress=progress))(Problem.from_scene(robot, scene, options))
 
 
 def check_task(
@@ -186,12 +186,12 @@ def _fraction_with_room(problem: Problem) -> float:
     """
     robot, scene, options = problem.robot, problem.scene, problem.options
     try:
-        found = solved(Problem.of(robot, scene, replace(options, tracking_error=0.0, tracking_delay_s=0.0)))
+        found = solved(Problem.from_scene(robot, scene, replace(options, tracking_error=0.0, tracking_delay_s=0.0)))
     except HplanError:
         return 0.0
 
     def is_certified(fraction: float) -> bool:
-        tracking = options.tracking.scaled(fraction)
+        tracking = options.tracking.scale(fraction)
         return certify(
             robot, scene, found.trajectory, sigmas=options.sigmas,
             tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s,
@@ -203,7 +203,7 @@ def _fraction_with_room(problem: Problem) -> float:
 
 def plan_result(plan: Plan) -> PlanResult:
     """The result of a plan, with contact times and the requested bound."""
-    phases, trajectory, certificate = plan.whole
+    phases, trajectory, certificate = plan.join_phases
     problem = plan.transit.problem
     fruit = problem.scene.goal_fruit
     if certificate.digests is None:  # those of the parts say nothing of the whole
@@ -212,7 +212,7 @@ def plan_result(plan: Plan) -> PlanResult:
             goal_contact: GoalContact = "approach" if plan.others else "motion"
             contacts = goal_contacts(problem.robot, trajectory, fruit, goal_contact)
             certificate = replace(certificate, goal_contact=goal_contact, contacts=contacts)
-        certificate = replace(certificate, digests=Digests.of(problem.robot, problem.scene, trajectory))
+        certificate = replace(certificate, digests=Digests.compute(problem.robot, problem.scene, trajectory))
     return PlanResult(
         motion=plan.transit,
         trajectory=trajectory,
@@ -244,7 +244,7 @@ def _bound(plan: Plan) -> DurationBound | None:
         # motions.
         fruit = problem.scene.goal_fruit
         problem = replace(problem, goals=plan.grasp.goal[None])
-        world = world if fruit is None else world.touching(fruit.name, fruit.hangs_from)
+        world = world if fruit is None else world.allow_touch(fruit.name, fruit.hangs_from)
     with stage("bound"):
         return duration_bound(world, problem, motion_limits(problem), seconds(motions))
 

@@ -23,14 +23,14 @@ from hplan.errors import (
     NotFoundError,
     TimingError,
 )
-from hplan.planning.approach import Approach, blended
+from hplan.planning.approach import Approach, blend
 from hplan.planning.effort import Effort, efforts_of
 from hplan.planning.failures import FailuresError
-from hplan.planning.grasps import COUNT, SPARE, Grasp, Target, grasps, promising
+from hplan.planning.grasps import COUNT, SPARE, Grasp, Target, grasps, select_promising
 from hplan.planning.motion import Plan, Solver, Transit
-from hplan.planning.pose_goal import configurations_at, pose_of
-from hplan.planning.problem import Problem, merged
-from hplan.planning.solver import motions, prove_infeasible, reuse_motion
+from hplan.planning.pose_goal import configurations_at, goal_pose
+from hplan.planning.problem import Problem, merge_problems
+from hplan.planning.solver import motions, prove_each_goal, reuse_motion
 from hplan.planning.specialist import presets_of
 from hplan.planning.stages import stage
 
@@ -61,7 +61,7 @@ def with_all_efforts(solve: Solver) -> Solver:
     def solver(problem: Problem) -> Iterator[Plan]:
         problem.world.check_base()
         check_deadline()
-        return plans(problem.among(problem.world))
+        return plans(problem.in_world(problem.world))
 
     return solver
 
@@ -115,13 +115,15 @@ def _goal(problem: Problem) -> Problem | Target:
     goal = scene.goal
     joints = problem.robot.joints_of(goal, "goal")
     if joints is not None:
-        return problem.between(start, problem.robot.turned_near(joints, start))
+        return problem.from_configurations(start, problem.robot.turned_near(joints, start))
     if goal.pose is not None and not problem.options.standoff:
         with stage("grasps"):
             ends = configurations_at(world, goal, start, scene.locked_joints)
-            return merged([problem.between(start, end) for end in ends[: problem.effort.pose_goals]])
+            return merge_problems(
+                [problem.from_configurations(start, end) for end in ends[: problem.effort.pose_goals]]
+            )
     if goal.pose is not None:
-        pose = pose_of(goal)
+        pose = goal_pose(goal)
         return Target("the pose", pose[:3, 3], world, world, pose=pose, frame=goal.frame)
     for fruit in scene.fruits:
         if fruit.name == goal.fruit:
@@ -142,13 +144,13 @@ def _to_target(problem: Problem, target: Target) -> Iterator[Plan]:
         count = 24 if at_once else COUNT
         found = grasps(target, start, standoff=problem.options.standoff_m, locked=locked, count=count)
         if at_once:
-            likely = promising(found, target, start)
+            likely = select_promising(found, target, start)
             found = (*likely[:first_grasps], *likely[first_grasps:][-1:])  # the last may be straight ahead
     for approach, plan in plans_to_grasps(problem, target, found):
         quickest = approach, plan
         yield plan
     approach, plan = quickest
-    non_stop = blended(plan.transit.problem, plan.transit, None, approach) if plan.others else None
+    non_stop = blend(plan.transit.problem, plan.transit, None, approach) if plan.others else None
     if non_stop is not None and non_stop[2] is not None:
         yield replace(plan, transit=non_stop[1], others=(non_stop[2], *plan.others[1:]))
 
@@ -179,7 +181,7 @@ def plans_to_grasps(
     start = problem.start
 
     def to_standoff(grasp: Grasp) -> Problem:
-        return problem.among(target.transit_world(grasp)).between(start, grasp.standoff)
+        return problem.in_world(target.transit_world(grasp)).from_configurations(start, grasp.standoff)
 
     ordered: list[Grasp] = []
     failures: dict[int, HplanError] = {}
@@ -194,12 +196,12 @@ def plans_to_grasps(
                 failures[number] = error.with_traceback(None)
         ordered += batch
         if not is_likely and problems:
-            proofs = prove_infeasible(merged(list(problems.values())))
+            proofs = prove_each_goal(merge_problems(list(problems.values())))
             failures |= {number: error for number, error in zip(problems, proofs, strict=True) if error is not None}
         while left := [number for number in problems if number not in failures]:
             is_found = False
             try:
-                for place, transit in motions(merged([problems[number] for number in left])):
+                for place, transit in motions(merge_problems([problems[number] for number in left])):
                     approach = Approach(problem, target, ordered[left[place]])
                     try:
                         plan = Plan(transit, approach.motions, approach.grasp)
@@ -223,7 +225,7 @@ def _batches(target: Target, found: Sequence[Grasp], start: FloatArray) -> Itera
     Grasps with an approach come before those without.
     """
     for batch in ([grasp for grasp in found if grasp.distance > 0.0], [grasp for grasp in found if not grasp.distance]):
-        likely = promising(batch, target, start)
+        likely = select_promising(batch, target, start)
         first = {id(grasp) for grasp in likely}
         yield True, likely
         yield False, [grasp for grasp in batch if id(grasp) not in first]

@@ -33,7 +33,7 @@ def configurations_at(world: World, goal: Goal, start: FloatArray, locked: Seque
         UnreachableError: No configuration was found, obstacles ignored.
         BlockedError: Obstacles, or parts of the arm, block every configuration found; names them.
     """
-    robot, pose = world.robot, pose_of(goal)
+    robot, pose = world.robot, goal_pose(goal)
     found = inverse_kinematics(robot, pose, start=start, frame=goal.frame, locked=locked)
     clear: list[FloatArray] = []
     blocked: Counter[tuple[str, str]] = Counter()
@@ -56,7 +56,7 @@ def configurations_at(world: World, goal: Goal, start: FloatArray, locked: Seque
     return frozen(np.array(clear))
 
 
-def pose_of(goal: Goal) -> FloatArray:
+def goal_pose(goal: Goal) -> FloatArray:
     """Return the (4, 4) pose of a goal.
 
     Raises:

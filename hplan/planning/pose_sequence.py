@@ -47,7 +47,7 @@ from hplan.planning.options import PlanOptions
 from hplan.planning.path_finder import Origin
 from hplan.planning.plan import check_task, plan_result
 from hplan.planning.pose_goal import configurations_at
-from hplan.planning.problem import Problem, merged
+from hplan.planning.problem import Problem, merge_problems
 from hplan.planning.result import PlanResult
 from hplan.planning.rrt_connect import Held, tree_path
 from hplan.planning.solver import best_motion
@@ -57,7 +57,7 @@ from hplan.scene.model import QUATERNION_LENGTH, Goal, Scene
 from hplan.trajectory.spline import SplinePath
 
 #: Maximum number of poses.
-_MOST_POSES = 10_000
+_MOST_SEQUENCE_POSES = 10_000
 
 #: Tree nodes and the paths between them use at most this fraction of the allowed tilt; the rest covers the timed curve.
 _OF_TILT = 0.7
@@ -96,13 +96,13 @@ class _Tilt(NamedTuple):
     most: float
     chain: Chain
 
-    def within(self, to: Problem) -> Chain:
+    def restrict(self, to: Problem) -> Chain:
         """Return the upright constraint within the joint ranges of a motion."""
         return self.chain._replace(lower=np.array(to.lower[0]), upper=np.array(to.upper[0]))
 
 
 @dataclass(frozen=True, eq=False)
-class _Poses:
+class _PoseTask:
     """A task of `plan_poses`.
 
     Attributes:
@@ -169,8 +169,8 @@ def plan_poses(
     if scene.moves:
         raise MovingObstacleError(scene.first_moving)
     matrices = numbers("poses", poses, (None, 4, 4))
-    if not 0 < len(matrices) <= _MOST_POSES:
-        raise InputError(f"poses: expected 1 to {_MOST_POSES}, got {len(matrices)}", count=len(matrices))
+    if not 0 < len(matrices) <= _MOST_SEQUENCE_POSES:
+        raise InputError(f"poses: expected 1 to {_MOST_SEQUENCE_POSES}, got {len(matrices)}", count=len(matrices))
     ways = [straight] * len(matrices) if isinstance(straight, bool) else list(straight)
     if len(ways) != len(matrices):
         raise InputError(f"straight: expected one for each of {len(matrices)} poses, got {len(ways)}")
@@ -179,7 +179,7 @@ def plan_poses(
     checked_number("deviation_m", deviation_m, "a number of metres >= 1e-5", lambda off: 1e-5 <= off <= 1.0)
     with stage_clock(progress) as clock, time_limit(options.deadline_s, cancel) as limit:
         try:
-            problem = Problem.of(robot, scene, options)
+            problem = Problem.from_scene(robot, scene, options)
             begin = problem.start
             problem.world.check_base()
             problem.world.check_clear(begin, "start")
@@ -192,8 +192,8 @@ def plan_poses(
                 _check_upright(checked, up, direction, _OF_TILT * tilt_rad)
                 tilt = _Tilt(tilt_rad, _upright_chain(robot, scene, up, direction, _OF_TILT * tilt_rad))
             lines = tuple(truth("straight", way) for way in ways)
-            task = _Poses(problem, checked, lines, deviation_m, up, direction, tilt)
-            return _result(task, _through(task, begin, 0))
+            task = _PoseTask(problem, checked, lines, deviation_m, up, direction, tilt)
+            return _finished_result(task, _find_legs(task, begin, 0))
         except TimeIsUpError:
             raise limit.error(clock.describe()) from None
 
@@ -242,7 +242,7 @@ def _check_upright(poses: Sequence[FloatArray], up: FloatArray, direction: Float
             )
 
 
-def _through(task: _Poses, begin: FloatArray, number: int) -> list[_Leg]:
+def _find_legs(task: _PoseTask, begin: FloatArray, number: int) -> list[_Leg]:
     """Return certified legs from a configuration through the remaining poses.
 
     Raises:
@@ -252,11 +252,11 @@ def _through(task: _Poses, begin: FloatArray, number: int) -> list[_Leg]:
         return []
     failure: HplanError | None = None
     given_up: list[Problem] = []
-    for leg in _lines(task, begin, number) if task.straight[number] else _free(task, begin, number, given_up):
+    for leg in _lines(task, begin, number) if task.straight[number] else _find_free_legs(task, begin, number, given_up):
         try:
-            found = _certified(task, leg)
+            found = _certify_leg(task, leg)
             given_up.append(leg.problem)  # no continuation exists from its end
-            return [found, *_through(task, leg.rows[-1], number + 1)]
+            return [found, *_find_legs(task, leg.rows[-1], number + 1)]
         except (NotFoundError, BlockedError, TimingError, CertificationError) as error:
             failure = failure or error
     raise failure or NotFoundError(
@@ -264,7 +264,7 @@ def _through(task: _Poses, begin: FloatArray, number: int) -> list[_Leg]:
     )
 
 
-def _lines(task: _Poses, begin: FloatArray, number: int) -> Iterator[_Leg]:
+def _lines(task: _PoseTask, begin: FloatArray, number: int) -> Iterator[_Leg]:
     """Yield straight legs to a pose, the one with minimum motion first.
 
     The others move a redundant arm towards each configuration at the pose.
@@ -280,11 +280,11 @@ def _lines(task: _Poses, begin: FloatArray, number: int) -> Iterator[_Leg]:
         if part < 1.0:
             continue
         with suppress(ConfigurationInCollisionError):
-            leg = _Leg(number, problem.between(begin, rows[-1]), rows)
-            if len(_moving(rows)) < 2:
+            leg = _Leg(number, problem.from_configurations(begin, rows[-1]), rows)
+            if len(_drop_repeats(rows)) < 2:
                 yield leg
                 continue
-            path, robot = _interpolated(rows), problem.robot
+            path, robot = _interpolate(rows), problem.robot
             is_within = (path.pieces >= robot.lower).all() and (path.pieces <= robot.upper).all()
             if is_within and path.is_clear(problem.field, _margin(leg.problem)):
                 yield leg._replace(path=path)
@@ -294,13 +294,13 @@ def _lines(task: _Poses, begin: FloatArray, number: int) -> Iterator[_Leg]:
         )
 
 
-def _ways_there(task: _Poses, begin: FloatArray, number: int) -> Iterator[FloatArray | None]:
+def _ways_there(task: _PoseTask, begin: FloatArray, number: int) -> Iterator[FloatArray | None]:
     yield None
     with suppress(HplanError):
         yield from _ends(task, begin, number)
 
 
-def _free(task: _Poses, begin: FloatArray, number: int, given_up: Sequence[Problem]) -> Iterator[_Leg]:
+def _find_free_legs(task: _PoseTask, begin: FloatArray, number: int, given_up: Sequence[Problem]) -> Iterator[_Leg]:
     """Yield free legs to configurations that allow the following straight segments.
 
     The nearest configurations come first.
@@ -316,7 +316,7 @@ def _free(task: _Poses, begin: FloatArray, number: int, given_up: Sequence[Probl
     tasks = []
     for end in ends[: problem.effort.pose_goals]:
         with suppress(ConfigurationInCollisionError):
-            tasks.append(problem.between(begin, end))
+            tasks.append(problem.from_configurations(begin, end))
     still = [to for to in tasks if to.is_empty]
     yield from (_Leg(number, to, np.stack([begin, to.goal])) for to in still)
     tasks = [to for to in tasks if not to.is_empty]
@@ -324,12 +324,12 @@ def _free(task: _Poses, begin: FloatArray, number: int, given_up: Sequence[Probl
         yield from _upright(task.tilt, tasks, number, given_up)
         return
     while tasks:
-        at, motion = best_motion(merged(tasks))
+        at, motion = best_motion(merge_problems(tasks))
         yield _Leg(number, tasks[at], motion.trajectory.position[[0, -1]], motion=motion)
         del tasks[at]
 
 
-def _goes_on(task: _Poses, begin: FloatArray, number: int) -> bool:
+def _goes_on(task: _PoseTask, begin: FloatArray, number: int) -> bool:
     """True if the following straight segments are feasible."""
     if number == len(task.poses) or not task.straight[number]:
         return True
@@ -338,7 +338,7 @@ def _goes_on(task: _Poses, begin: FloatArray, number: int) -> bool:
     return False
 
 
-def _ends(task: _Poses, begin: FloatArray, number: int) -> FloatArray:
+def _ends(task: _PoseTask, begin: FloatArray, number: int) -> FloatArray:
     """Collision-free configurations at a pose, the nearest first; errors as `configurations_at`."""
     problem, pose = task.problem, task.poses[number]
     quaternion = tuple(pin.Quaternion(pose[:3, :3]).coeffs().tolist())
@@ -357,13 +357,13 @@ def _upright(tilt: _Tilt, tasks: Sequence[Problem], number: int, given_up: Seque
         return
     field, reached = tasks[0].field, False
     for to in tasks:
-        rows = _followed(tilt, to, to.start, to.goal)
+        rows = _follow_upright(tilt, to, to.start, to.goal)
         if rows is not None and field.is_clear(rows, 0.1 * to.margin):
             reached = True
             yield _Leg(number, to, rows)
     first, least = tasks[0], 0.1 * min(to.margin for to in tasks)
     # Longest edge of upright trees for a tilt of one radian [s]; it scales with the square root of the tilt.
-    held = Held(tilt.within(first), 0.1 * math.sqrt(_OF_TILT * tilt.most))
+    held = Held(tilt.restrict(first), 0.1 * math.sqrt(_OF_TILT * tilt.most))
     for seed, evaluations in enumerate(_TREES):
         left = [to for to in tasks if to not in given_up]
         if not left:
@@ -373,16 +373,16 @@ def _upright(tilt: _Tilt, tasks: Sequence[Problem], number: int, given_up: Seque
             path, _ = tree_path(first, least, evaluations, first.effort.trees.seed + seed, goals=goals, held=held)
         if path is not None:
             reached, to = True, left[int((goals == path[-1]).all(axis=1).argmax())]
-            yield _Leg(number, to, _shorter(tilt, to, path))
+            yield _Leg(number, to, _shorten_upright(tilt, to, path))
     if not reached:
         tried = f"trees of upright configurations, with {sum(_TREES)} evaluations, to pose {number + 1}"
         raise NotFoundError([tried], pose=number)
 
 
-def _followed(tilt: _Tilt, to: Problem, begin: FloatArray, end: FloatArray) -> FloatArray | None:
+def _follow_upright(tilt: _Tilt, to: Problem, begin: FloatArray, end: FloatArray) -> FloatArray | None:
     """(m, dof) closely spaced upright configurations between two; None if infeasible."""
     count = max(2, math.ceil(float(np.abs(end - begin).max()) / _ROW) + 1)
-    chain = tilt.within(to)
+    chain = tilt.restrict(to)
     rows, poses = np.repeat(begin[None], count, axis=0), np.repeat(chain.pose[None], count, axis=0)
     most = np.full(rows.shape, 4.0 * _ROW)
     reached = follow(poses, most, np.array(end), 1.0, chain, rows)
@@ -392,7 +392,7 @@ def _followed(tilt: _Tilt, to: Problem, begin: FloatArray, end: FloatArray) -> F
     return rows
 
 
-def _shorter(tilt: _Tilt, to: Problem, path: FloatArray) -> FloatArray:
+def _shorten_upright(tilt: _Tilt, to: Problem, path: FloatArray) -> FloatArray:
     """Return the path with upright shortcuts."""
     parts = [np.linspace(*pair, max(2, math.ceil(float(np.abs(pair[1] - pair[0]).max()) / _ROW) + 1))[1:]
              for pair in pairwise(path)]  # fmt: skip
@@ -402,7 +402,7 @@ def _shorter(tilt: _Tilt, to: Problem, path: FloatArray) -> FloatArray:
             low, high = np.sort(draw.integers(0, len(rows), 2))
             if high - low < 2:
                 continue
-            between = _followed(tilt, to, rows[low], rows[high])
+            between = _follow_upright(tilt, to, rows[low], rows[high])
             if (
                 between is not None
                 and path_length(between) < path_length(rows[low : high + 1])
@@ -416,15 +416,15 @@ def _margin(to: Problem) -> float:
     return 0.5 * SMALLEST_FRACTION * to.margin
 
 
-def _moving(rows: FloatArray) -> FloatArray:
+def _drop_repeats(rows: FloatArray) -> FloatArray:
     """The samples that differ from their predecessor."""
     moving: FloatArray = rows[np.append(True, np.abs(np.diff(rows, axis=0)).max(axis=1) > _STILL)]
     return moving
 
 
-def _interpolated(rows: FloatArray) -> SplinePath:
+def _interpolate(rows: FloatArray) -> SplinePath:
     """Return the cubic spline that interpolates the configurations."""
-    points = _moving(rows)
+    points = _drop_repeats(rows)
     if len(points) < 4:
         points = np.vstack([np.linspace(low, high, 4)[:-1] for low, high in pairwise(points)] + [points[-1:]])
     from scipy.interpolate import make_interp_spline
@@ -441,19 +441,19 @@ def _smooth(leg: _Leg) -> Iterator[SplinePath]:
     if leg.path is not None:
         yield leg.path
         return
-    points = _moving(leg.rows)
+    points = _drop_repeats(leg.rows)
     for coarser in _COARSER:
         count = max(4, math.ceil((len(points) - 1) / coarser) + 1)
         station = stations(points)
         even = np.linspace(0.0, station[-1], count)
         control = np.stack([np.interp(even, station, joint) for joint in points.T], axis=1)
         with suppress(InputError):
-            path = SplinePath.through(control)
+            path = SplinePath.from_control_points(control)
             if path.is_clear(leg.problem.field, _margin(leg.problem)):
                 yield path
 
 
-def _result(task: _Poses, legs: Sequence[_Leg]) -> PlanResult:
+def _finished_result(task: _PoseTask, legs: Sequence[_Leg]) -> PlanResult:
     """Assemble the plan result from certified legs."""
     robot, rows = task.problem.robot, np.vstack([leg.rows for leg in legs])
     along = scene_along(robot, task.problem.scene, given_path(robot, rows))
@@ -478,7 +478,7 @@ def _result(task: _Poses, legs: Sequence[_Leg]) -> PlanResult:
     return replace(plan_result(whole), told={"poses": found})
 
 
-def _certified(task: _Poses, leg: _Leg) -> _Leg:
+def _certify_leg(task: _PoseTask, leg: _Leg) -> _Leg:
     """Return the leg with its certified motion.
 
     If the arm is already there, the leg has no motion.
@@ -489,8 +489,8 @@ def _certified(task: _Poses, leg: _Leg) -> _Leg:
     """
     to, name, failure = leg.problem, f"pose {leg.number + 1}", None
     if leg.motion is not None:
-        return leg._replace(motion=replace(leg.motion, name=name), bounds=_bounds(task, leg.motion))
-    if len(_moving(leg.rows)) < 2:
+        return leg._replace(motion=replace(leg.motion, name=name), bounds=_tool_bounds(task, leg.motion))
+    if len(_drop_repeats(leg.rows)) < 2:
         return leg
     for path in _smooth(leg):
         try:
@@ -501,10 +501,10 @@ def _certified(task: _Poses, leg: _Leg) -> _Leg:
         origin: Origin = "direct" if task.straight[leg.number] else "trees"
         motion = Transit(name, trajectory, certificate, to, frozen(np.array(leg.rows)), path, origin)
         with stage("certificate"):
-            bounds = _bounds(task, motion)
+            bounds = _tool_bounds(task, motion)
         tilted = task.tilt is not None and bounds.tilt_rad > task.tilt.most
         if not tilted and (not task.straight[leg.number] or bounds.deviation_m <= task.deviation_m):
-            motion, bounds = (motion, bounds) if task.straight[leg.number] else _quicker(task, motion, bounds)
+            motion, bounds = (motion, bounds) if task.straight[leg.number] else _optimize_upright(task, motion, bounds)
             return leg._replace(motion=motion, bounds=bounds)
         failure = failure or CertificationError(
             f"to pose {leg.number + 1} the deviation of the tool is bounded by {1e3 * bounds.deviation_m:.4g} mm from "
@@ -515,20 +515,20 @@ def _certified(task: _Poses, leg: _Leg) -> _Leg:
     raise failure or CertificationError(f"the path to pose {leg.number + 1} cannot be smoothed within its clearance")
 
 
-def _quicker(task: _Poses, motion: Transit, bounds: ToolBounds) -> tuple[Transit, ToolBounds]:
+def _optimize_upright(task: _PoseTask, motion: Transit, bounds: ToolBounds) -> tuple[Transit, ToolBounds]:
     """Return an optimized upright motion, or the given one.
 
     The given one is kept if it is close to its duration bound, or if the optimized one tilts too far.
     """
     if task.tilt is None or motion.trajectory.duration <= _FAST * motion.problem.least_duration:
         return motion, bounds
-    chain = task.tilt.within(motion.problem)
+    chain = task.tilt.restrict(motion.problem)
     quicker = best_of(improve(motion, chain._replace(free_turn=np.array([UPRIGHT, _OPTIMIZED * task.tilt.most]))))
     with stage("certificate"):
-        found = _bounds(task, quicker)
+        found = _tool_bounds(task, quicker)
     return (quicker, found) if found.tilt_rad <= task.tilt.most else (motion, bounds)
 
 
-def _bounds(task: _Poses, motion: Motion) -> ToolBounds:
+def _tool_bounds(task: _PoseTask, motion: Motion) -> ToolBounds:
     options = task.problem.options
     return tool_bounds(task.problem.robot, motion.trajectory, task.direction, task.upright, options.certified_tracking)

@@ -15,7 +15,7 @@ from hplan.errors import InputError
 from hplan.optimization.several_starts import StartsEffort
 from hplan.planning.effort import Effort, efforts_of
 from hplan.planning.options import PlanOptions
-from hplan.planning.specialist import narrowed, presets_of
+from hplan.planning.specialist import narrow_ranges, presets_of
 from hplan.planning.world import World
 from hplan.robot.limits import least_duration
 from hplan.robot.model import Robot
@@ -59,7 +59,7 @@ class Problem(Record):
     other_world: World | None = None
 
     @classmethod
-    def of(cls, robot: Robot, scene: Scene, options: PlanOptions) -> Problem:
+    def from_scene(cls, robot: Robot, scene: Scene, options: PlanOptions) -> Problem:
         """The problem that a scene states for a robot.
 
         Raises:
@@ -116,11 +116,11 @@ class Problem(Record):
         """
         return min(MARGIN, 0.5 * float(self.spare_clearances[0]))
 
-    def among(self, world: World) -> Problem:
+    def in_world(self, world: World) -> Problem:
         """The problem in another world."""
         return replace(self, other_world=world)
 
-    def to(self, *numbers: int) -> Problem:
+    def with_goals(self, *numbers: int) -> Problem:
         """The problem with some of its goals alone, by their numbers."""
         chosen = list(numbers)
         return replace(
@@ -128,7 +128,7 @@ class Problem(Record):
             spare_clearances=frozen(self.spare_clearances[chosen]),
         )  # fmt: skip
 
-    def between(self, start: ArrayLike, goal: ArrayLike) -> Problem:
+    def from_configurations(self, start: ArrayLike, goal: ArrayLike) -> Problem:
         """The problem of moving between two configurations, validated.
 
         Args:
@@ -154,10 +154,10 @@ class Problem(Record):
             )
         clearance = min(world.check_clear(first, "start"), world.check_clear(last, "goal"))
         # coal's distances between hulls are accurate to its tolerance; the last digits depend on earlier queries.
-        in_kernels = float(world.field.along([first, last]).min())
+        in_kernels = float(world.field.clearance_along([first, last]).min())
         clearance = in_kernels if in_kernels > 0.0 else clearance
         last = readonly(np.where(locked, first, last))
-        ranges = narrowed(world.checker, first, last, clearance)
+        ranges = narrow_ranges(world.checker, first, last, clearance)
         return replace(
             self,
             start=first,
@@ -169,7 +169,7 @@ class Problem(Record):
         )
 
 
-def merged(problems: Sequence[Problem]) -> Problem:
+def merge_problems(problems: Sequence[Problem]) -> Problem:
     """Merge problems with the same start: their goals become alternatives, in order."""
     first, *others = problems
     if not others:

@@ -110,9 +110,9 @@ def reachable(
     with stage_clock(progress), time_limit(asked.deadline_s, cancel) as limit:
         try:
             whole = replace(asked, deadline_s=None)
-            problem = Problem.of(robot, scene, whole)
+            problem = Problem.from_scene(robot, scene, whole)
             problem.world.check_base()
-            problem.between(problem.start, problem.start)
+            problem.from_configurations(problem.start, problem.start)
             found: dict[str, FruitReach] = {}
             for number, fruit in enumerate(scene.fruits):
                 check_deadline()
@@ -132,7 +132,7 @@ def _reach(problem: Problem, fruit: Fruit, *, motions: bool) -> FruitReach:
     except UnreachableError as error:
         return FruitReach(fruit.name, "out_of_reach", error.message)
     if isinstance(found, Blocked):
-        return _blocked(fruit.name, found)
+        return _blocked_fruit(fruit.name, found)
     if motions:
         quick = replace(problem, effort=presets_of(problem.robot)["quick"])
         try:
@@ -152,8 +152,8 @@ def _reach(problem: Problem, fruit: Fruit, *, motions: bool) -> FruitReach:
     return FruitReach(fruit.name, "no_approach", "" if failure is None else failure.message)
 
 
-def _blocked(name: str, found: Blocked) -> FruitReach:
+def _blocked_fruit(name: str, found: Blocked) -> FruitReach:
     contact = found.contact_at(found.best)
     what = "" if contact is None else f": {contact.obstacle!r} against {contact.link!r}"
-    detail = f"the best of {found.tried} configurations has a clearance of {1e3 * found.best_m:.3g} mm{what}"
+    detail = f"the best of {found.number_tried} configurations has a clearance of {1e3 * found.best_m:.3g} mm{what}"
     return FruitReach(name, "blocked", detail, contact=contact, best_clearance_m=found.best_m)

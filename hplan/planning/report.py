@@ -129,7 +129,7 @@ def curve_report(certificate: Certificate) -> dict[str, Any]:
     curve = certificate.clearance_curve
     if curve is None:
         return {"clearance_curve": None}
-    curve = curve.shown
+    curve = curve.report_curve
     return {
         "clearance_curve": {
             "time_s": curve.time.tolist(),

@@ -23,7 +23,7 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.trajectory.spline import SplinePath
 from hplan.trajectory.time_scaling import Profile
-from hplan.trajectory.trajectory import Phase, Retimed, Trajectory, scaled, stopped
+from hplan.trajectory.trajectory import Phase, Retimed, Trajectory, scale_motion, stop_motion
 
 if TYPE_CHECKING:
     from hplan.planning.lower_bound.duration_bound import DurationBound
@@ -106,7 +106,7 @@ class PlanResult(Record, InNotebook):
         return self.motion.problem.scene
 
     @property
-    def picked(self) -> dict[str, float]:
+    def picked_fruit(self) -> dict[str, float]:
         """The picked fruit, if any, and the time of the grasp [s]."""
         fruit = self.scene.goal.fruit
         reached = [phase.end_s for phase in self.phases if phase.name != "retreat"]
@@ -141,21 +141,21 @@ class PlanResult(Record, InNotebook):
         Raises:
             OptionError: `t` is before or after the trajectory.
         """
-        return self._retimed(stopped(self.trajectory, t, self.robot))
+        return self._retime(stop_motion(self.trajectory, t, self.robot))
 
-    def scaled(self, profile: Profile) -> CertifiedMotion:
+    def scale_speed(self, profile: Profile) -> CertifiedMotion:
         """The trajectory on the same path with another speed.
 
         Args:
-            profile: Fraction of its own speed over time (`hplan.trajectory.trajectory.scaled`).
+            profile: Fraction of its own speed over time (`hplan.trajectory.trajectory.scale_motion`).
 
         Raises:
             OptionError: The factors are invalid, exceed the limits, or do not lead to the end of the motion.
             TimingError: No motion within the limits was found.
         """
-        return self._retimed(scaled(self.trajectory, profile, self.robot))
+        return self._retime(scale_motion(self.trajectory, profile, self.robot))
 
-    def _retimed(self, retimed: Retimed) -> CertifiedMotion:
+    def _retime(self, retimed: Retimed) -> CertifiedMotion:
         problem = self.motion.problem
         tracking, sigmas = problem.options.certified_tracking, problem.options.sigmas
         found = certified_retiming(

@@ -40,7 +40,7 @@ LOOKS = any_int(64)
 _ASIDE, _SCALES = 0.6, 7
 
 #: Maximum distance of a sample beyond start and goals in any joint [rad, m].
-_FAR = 4.0 * np.pi
+_FAR_SAMPLE = 4.0 * np.pi
 
 
 class Tree(NamedTuple):
@@ -161,7 +161,7 @@ def _samples(generator: np.random.Generator, problem: Problem, goals: FloatArray
     Anywhere; in the box of start and goals; around start or a goal at all scales.
     """
     first, last = np.minimum(problem.start, goals.min(axis=0)), np.maximum(problem.start, goals.max(axis=0))
-    lower, upper = np.maximum(problem.lower[0], first - _FAR), np.minimum(problem.upper[0], last + _FAR)
+    lower, upper = np.maximum(problem.lower[0], first - _FAR_SAMPLE), np.minimum(problem.upper[0], last + _FAR_SAMPLE)
     samples: FloatArray = generator.random((_CHUNK, len(lower)))
     low, high = np.maximum(first - _ASIDE, lower), np.minimum(last + _ASIDE, upper)
     samples[::3] = lower + samples[::3] * (upper - lower)
@@ -200,11 +200,11 @@ def _grow(
         looks[1] += 1
         forward = first.size[0] <= second.size[0]
         tree, towards = (first, second) if forward else (second, first)
-        new = _extend(tree, _nearest(tree, samples[s], arm), samples[s], arm, chain, looks)
+        new = _extend(tree, _nearest_node(tree, samples[s], arm), samples[s], arm, chain, looks)
         if new < 0:
             continue
         target = tree.points[new]
-        here = _nearest(towards, target, arm)
+        here = _nearest_node(towards, target, arm)
         while (
             here >= 0 and not is_up(arm.field.until) and motion_time(towards.points[here], target, arm.slowness) > 0.0
         ):
@@ -216,7 +216,7 @@ def _grow(
 
 
 @kernel
-def _nearest(tree: Tree, target: FloatArray, arm: Surroundings) -> int:
+def _nearest_node(tree: Tree, target: FloatArray, arm: Surroundings) -> int:
     """The node nearest to a target, by Euclidean distance in time.
 
     The first of several with the same distance.

@@ -35,10 +35,10 @@ from hplan.base.deadline import check_deadline
 from hplan.base.kernels import kernel
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.giving_way import LinkedSolids
-from hplan.collision.moving_solids import largest_rates
+from hplan.collision.moving_solids import largest_interval_rates
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-from hplan.scene.obstacle_kind import Sigmas, growths, posed
+from hplan.scene.obstacle_kind import Sigmas, growths, transform_solid
 from hplan.scene.obstacles import Solid
 from hplan.scene.tracks import Movement
 from hplan.trajectory.trajectory import Trajectory
@@ -73,25 +73,25 @@ class MovingField:
         moving = [(solid, how) for solid, how in listed if how is not None]
         growth = growths([solid for solid, _ in moving], sigmas)
         solids = [solid for solid, _ in moving]
-        self._linked = LinkedSolids.of(robot, solids, scene.clearance + growth, scene.yield_links, growth)
+        self._linked = LinkedSolids.build(robot, solids, scene.clearance + growth, scene.yield_links, growth)
         movements = {solid.name: how for solid, how in moving}
         self._moving: list[tuple[Solid, Movement]] = [(solid, movements[solid.name]) for solid in self._linked.solids]
         self._robot, self._deviation = robot, tracking_error
         self._rates = [(how.breaks, how.rates(solid.core, solid.rounding)) for solid, how in self._moving]
         self.at_rest_s = scene.at_rest_s
 
-    def at(self, time_s: float) -> ClearanceField:
+    def field_at(self, time_s: float) -> ClearanceField:
         """The field at a time [s]; without the arm's own pairs."""
         clock = np.array([time_s])
-        poses = {id(how): tuple(part[0] for part in how.at(clock)) for _, how in self._moving}
-        solids = tuple(posed(solid, *poses[id(how)]) for solid, how in self._moving)
+        poses = {id(how): tuple(part[0] for part in how.displacement_at(clock)) for _, how in self._moving}
+        solids = tuple(transform_solid(solid, *poses[id(how)]) for solid, how in self._moving)
         field = replace(self._linked, solids=solids).field(self._robot, deviation=self._deviation)
-        return field.only(np.ones(len(solids), dtype=np.bool_), arm=False)
+        return field.select(np.ones(len(solids), dtype=np.bool_), arm=False)
 
     def travel(self, from_s: float, to_s: float) -> float:
         """Maximum travel of the moving obstacles within an interval [m]."""
         clock = np.array([from_s, to_s])
-        return (to_s - from_s) * max(float(largest_rates(*rates, clock)[0]) for rates in self._rates)
+        return (to_s - from_s) * max(float(largest_interval_rates(*rates, clock)[0]) for rates in self._rates)
 
 
 class PathInTime:
@@ -118,7 +118,7 @@ class PathInTime:
         self.step_s, self.at_rest_s = step_s, field.at_rest_s
         self._field, self._half = field, 0.5 * step_s + spare_s
         turns = np.diff(self.configurations, axis=0)
-        bounds = np.abs(turns) @ field.at(0.0).reaches.T
+        bounds = np.abs(turns) @ field.field_at(0.0).reaches.T
         self._travel = 0.5 * np.maximum(np.vstack([bounds[:1], bounds]), np.vstack([bounds, bounds[-1:]]))
         self._last: tuple[int, BoolArray] | None = None
 
@@ -136,10 +136,10 @@ class PathInTime:
         """Mask of the given stations that are clear within a time interval."""
         travel = 0.5 * self._field.travel(begin_s, end_s)
         middle_s = 0.5 * (begin_s + end_s)
-        field = self._field.at(middle_s)
+        field = self._field.field_at(middle_s)
         # Clearance required beyond the scene's own [m]: less than the margin of planned paths.
         margin_m = 2e-4
-        spare = field.along(self.configurations[stations]) - margin_m
+        spare = field.clearance_along(self.configurations[stations]) - margin_m
         clear: BoolArray = np.all(spare - self._travel[stations] > travel, axis=1)
         undecided = np.flatnonzero(~clear & np.all(spare > 0.0, axis=1))
         if len(undecided) == 0:
@@ -152,7 +152,7 @@ class PathInTime:
             return clear
         parts = (np.arange(_PARTS) + 0.5) / _PARTS - 0.5
         places = np.clip(rest[:, None] + parts, 0.0, len(self.configurations) - 1.0) * self._spacing_s
-        spare = field.along(self._motion.positions(places.ravel())) - margin_m
+        spare = field.clearance_along(self._motion.positions(places.ravel())) - margin_m
         spare -= np.repeat(self._travel[rest], _PARTS, axis=0) / _PARTS
         clear[undecided] = np.all(spare.reshape(len(rest), -1) > travel, axis=1)
         return clear
@@ -167,7 +167,7 @@ CHANGES: Final = 2
 USED: Final = 0.98
 
 #: Maximum duration of a schedule [s].
-_LONGEST_S: Final = 120.0
+_LONGEST_SCHEDULE_S: Final = 120.0
 
 _NONE: Final = 1 << 30
 
@@ -199,7 +199,7 @@ class Schedule(Record):
 
     @property
     def profile(self) -> FloatArray:
-        """(k, 2) rows of time and speed factor, as in `hplan.trajectory.trajectory.scaled`."""
+        """(k, 2) rows of time and speed factor, as in `hplan.trajectory.trajectory.scale_motion`."""
         rows: list[tuple[float, float]] = []
         for i, (time, speed) in enumerate(zip(self.time.tolist(), self.speed.tolist(), strict=True)):
             begins = i + 1 < len(self.time) and self.place[i] == 0.0 and speed == 0.0 and self.speed[i + 1] > 0.0
@@ -269,28 +269,28 @@ def earliest_schedule(
     # From rest the motion may wait; a start in motion continues at full speed.
     cost[0, 0 if at_rest else LEVELS] = 0
     came: list[NDArray[np.int8]] = []
-    rows = math.ceil(min(at_rest_s + 2.0 * duration_s + 2.0, quicker_than_s, _LONGEST_S) / STEP_S) + 1
-    before = _blocked(cells.clear(0))
+    rows = math.ceil(min(at_rest_s + 2.0 * duration_s + 2.0, quicker_than_s, _LONGEST_SCHEDULE_S) / STEP_S) + 1
+    before = _count_blocked(cells.clear(0))
     for row in range(1, rows):
         check_deadline()
-        after = _blocked(cells.clear(row))
-        cost, back, end = _advance(cost, before, after, room, station_of)
+        after = _count_blocked(cells.clear(row))
+        cost, back, end = _advance_clock(cost, before, after, room, station_of)
         came.append(back.astype(np.int8))  # there may be hundreds
         if end[0] < _NONE:
-            return _traced(came, end, places, unit, duration_s)
+            return _trace_back(came, end, places, unit, duration_s)
         if not (cost < _NONE).any():
             return None
         before = after
     return None
 
 
-def _blocked(clear: BoolArray) -> IntArray:
+def _count_blocked(clear: BoolArray) -> IntArray:
     """(n + 1,) number of obstructed stations before each station."""
     return np.concatenate([[0], np.cumsum(~clear)])
 
 
 @kernel
-def _advance(
+def _advance_clock(
     cost: IntArray, before: IntArray, after: IntArray, room: BoolArray, station_of: IntArray
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Advance all states by one step of time.
@@ -338,7 +338,7 @@ def _advance(
     return found, back, end
 
 
-def _traced(came: list[NDArray[np.int8]], end: IntArray, places: int, unit: float, duration_s: float) -> Schedule:
+def _trace_back(came: list[NDArray[np.int8]], end: IntArray, places: int, unit: float, duration_s: float) -> Schedule:
     """The schedule, traced back from its end."""
     place, speed = int(end[1]), int(end[2])
     states = [(places, int(end[3])), (place, speed)]

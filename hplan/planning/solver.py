@@ -17,7 +17,7 @@ import numpy as np
 
 from hplan.base.arrays import frozen
 from hplan.errors import CertificationError, HplanError, NoPathError, NotFoundError, TimingError
-from hplan.optimization.repair import repaired
+from hplan.optimization.repair import repair
 from hplan.planning.failures import FailuresError
 from hplan.planning.motion import Transit, best_of, certificate_of, improve, motion_along, quickest, require_certificate
 from hplan.planning.path_finder import (
@@ -34,7 +34,7 @@ from hplan.planning.path_finder import (
 from hplan.planning.problem import Problem
 from hplan.planning.rrt_connect import Pairs
 from hplan.planning.specialist import specialist_of
-from hplan.trajectory.retime import resting
+from hplan.trajectory.retime import rest_at
 
 #: The number of a goal, and a motion there.
 Found: TypeAlias = tuple[int, Transit]
@@ -55,15 +55,15 @@ def motions(problem: Problem) -> Iterator[Found]:
         FailuresError: No motion was found; holds the reason for each goal.
         TimingError: A straight motion cannot be timed.
     """
-    at_goal = next((number for number in range(len(problem.goals)) if problem.to(number).is_empty), None)
+    at_goal = next((number for number in range(len(problem.goals)) if problem.with_goals(number).is_empty), None)
     if at_goal is not None:
-        yield at_goal, _rest(problem.to(at_goal))
+        yield at_goal, _rest(problem.with_goals(at_goal))
         return
     failures: dict[int, HplanError] = {}
     left, pairs = list(range(len(problem.goals))), Pairs()
-    for finder in path_finders(problem):
-        remaining = problem.to(*left)
-        budget = replace(Budget.of(remaining), pairs=pairs)
+    for finder in finders_of(problem):
+        remaining = problem.with_goals(*left)
+        budget = replace(Budget.from_problem(remaining), pairs=pairs)
         try:
             for group in finder.paths(remaining, budget):
                 for place, motion in _motions_near(remaining, group, budget):
@@ -93,7 +93,7 @@ def best_motion(problem: Problem) -> Found:
         raise failures.as_one() from None
 
 
-def path_finders(problem: Problem) -> Sequence[PathFinder]:
+def finders_of(problem: Problem) -> Sequence[PathFinder]:
     """The path finders of a problem, in order of preference."""
     specialist = specialist_of(problem.robot)
     found = None if specialist is None else specialist.path_finders(problem)
@@ -112,7 +112,7 @@ def reuse_motion(problem: Problem, previous: Transit) -> Transit | None:
     """
     old = previous.problem
     for number in range(len(problem.goals)):
-        new = problem.to(number)
+        new = problem.with_goals(number)
         pairs = ((old.start, new.start), (old.goal, new.goal), (old.lower, new.lower), (old.upper, new.upper))
         if any(before.shape != now.shape or (before != now).any() for before, now in pairs):
             continue
@@ -122,7 +122,7 @@ def reuse_motion(problem: Problem, previous: Transit) -> Transit | None:
         if certificate.verified:
             return replace(previous, problem=new, search=None, certificate=certificate, origin="kept")
         margin = new.margin
-        clear, contacts = repaired(previous.waypoints, new.field, new.lower[0], new.upper[0], 0.1 * margin)
+        clear, contacts = repair(previous.waypoints, new.field, new.lower[0], new.upper[0], 0.1 * margin)
         with suppress(CertificationError, TimingError):
             if not contacts:
                 return quickest(new, [Path(clear, "mended")], margin)
@@ -136,13 +136,13 @@ def motion_near(problem: Problem, paths: Sequence[Path]) -> Transit | None:
     return None
 
 
-def searches_first(problem: Problem) -> bool:
+def searches_grid_first(problem: Problem) -> bool:
     """True if the robot's specialist searches a grid before a straight motion."""
     specialist = specialist_of(problem.robot)
     return specialist is not None and specialist.searches_first(problem)
 
 
-def prove_infeasible(problem: Problem) -> list[NoPathError | None]:
+def prove_each_goal(problem: Problem) -> list[NoPathError | None]:
     """For each goal the error that proves it unreachable; None if open."""
     specialist = specialist_of(problem.robot)
     if specialist is None or not problem.effort.proof_nodes:
@@ -156,7 +156,7 @@ def _motions_near(problem: Problem, group: Sequence[Path], budget: Budget) -> It
     The budget notes their durations.
     """
     number = group[0].goal
-    one = problem.to(number)
+    one = problem.with_goals(number)
     margin = one.margin if group[0].margin is None else group[0].margin
     budget.error = None
     try:
@@ -177,7 +177,7 @@ def _motions_near(problem: Problem, group: Sequence[Path], budget: Budget) -> It
 
 def _rest(problem: Problem) -> Transit:
     """The motion from a configuration to itself."""
-    rest = resting(problem.robot.model, problem.start)
+    rest = rest_at(problem.robot.model, problem.start)
     certificate = require_certificate(problem, certificate_of(problem, rest))
     return Transit("transit", rest, certificate, problem, frozen(np.array(problem.start[None])), None, "none")
 
@@ -188,5 +188,5 @@ def _reasons(problem: Problem) -> Iterator[NoPathError | NotFoundError]:
     tried = ["straight motion", describe_trees(problem)]
     if specialist is not None and problem.effort.proof_nodes:
         tried.append(specialist.describe_proof(problem))
-    for error in prove_infeasible(problem):
+    for error in prove_each_goal(problem):
         yield error or NotFoundError(tried)

@@ -17,7 +17,7 @@ from hplan.errors import NoPathError, OptionError
 from hplan.kinematics.approach_angles import Candidates
 from hplan.kinematics.tool_at_point import tool_at_point
 from hplan.planning.effort import EFFORTS, Effort
-from hplan.planning.joint_ranges import LEAST_MARGIN, MARGIN, JointRanges
+from hplan.planning.joint_ranges import LEAST_MARGIN, RANGE_MARGIN, JointRanges
 from hplan.planning.options import EffortName, PlanOptions
 from hplan.robot.model import Robot
 
@@ -99,7 +99,7 @@ def goal_sampler_of(robot: Robot) -> GoalSampler:
     return GoalSampler() if specialist is None else specialist.goal_sampler
 
 
-def joint_ranges(scene: CoalScene, q: FloatArray, margin: float = MARGIN) -> JointRanges:
+def joint_ranges(scene: CoalScene, q: FloatArray, margin: float = RANGE_MARGIN) -> JointRanges:
     """Return the intervals in which the joints can move from a configuration.
 
     Args:
@@ -113,7 +113,7 @@ def joint_ranges(scene: CoalScene, q: FloatArray, margin: float = MARGIN) -> Joi
     return specialist.joint_ranges(scene, q, margin)
 
 
-def narrowed(scene: CoalScene, start: FloatArray, goal: FloatArray, clearance: float) -> JointRanges:
+def narrow_ranges(scene: CoalScene, start: FloatArray, goal: FloatArray, clearance: float) -> JointRanges:
     """Return the free intervals around a start, with its goal inside.
 
     Args:
@@ -125,7 +125,7 @@ def narrowed(scene: CoalScene, start: FloatArray, goal: FloatArray, clearance: f
     Raises:
         NoPathError: A blocked joint separates the goal from the start; names the obstacle and the blocked angles.
     """
-    ranges = joint_ranges(scene, start, min(MARGIN, 0.5 * clearance))
+    ranges = joint_ranges(scene, start, min(RANGE_MARGIN, 0.5 * clearance))
     if ranges.wall_before(goal) is None:
         return ranges
     least = min(LEAST_MARGIN, 0.5 * clearance)

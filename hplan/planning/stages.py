@@ -65,23 +65,23 @@ class StageClock:
         return {**table, "total": round(1e3 * (time.perf_counter() - self._start), 4)}
 
 
-_CURRENT: ContextVar[StageClock | None] = ContextVar("stage_clock", default=None)
+_CURRENT_CLOCK: ContextVar[StageClock | None] = ContextVar("stage_clock", default=None)
 
 
 @contextmanager
 def stage_clock(progress: Progress = no_progress) -> Iterator[StageClock]:
     """Time the stages of the block with a clock of their own."""
     clock = StageClock(progress)
-    token = _CURRENT.set(clock)
+    token = _CURRENT_CLOCK.set(clock)
     try:
         yield clock
     finally:
-        _CURRENT.reset(token)
+        _CURRENT_CLOCK.reset(token)
 
 
 def current_clock() -> StageClock:
     """Return the clock of the innermost `stage_clock`, or a new one."""
-    return _CURRENT.get() or StageClock()
+    return _CURRENT_CLOCK.get() or StageClock()
 
 
 @contextmanager

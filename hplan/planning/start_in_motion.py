@@ -25,13 +25,13 @@ from hplan.planning.problem import Problem
 from hplan.planning.stages import stage
 from hplan.robot.model import Robot
 from hplan.trajectory.braking import braking
-from hplan.trajectory.trajectory import Trajectory, joined
+from hplan.trajectory.trajectory import Trajectory, join_trajectories
 
 #: Fractions of the acceleration limits for stops, tried in turn.
 _PUSHES: Final = (1.0, 0.7, 0.4, 0.2)
 
 #: Extra acceleration of a joint that stops together with the slowest one [rad/s^2].
-_TOGETHER: Final = 1e-3
+_EXTRA_ACCELERATION: Final = 1e-3
 
 
 def from_motion(solve: Solver, stop: Trajectory | None = None) -> Solver:
@@ -69,7 +69,7 @@ def _plans_in_motion(problem: Problem, state: BoundaryState, solve: Solver, stop
         try:
             planned = solve(problem)
             for plan in planned if options.deadline_s is not None else [best_of(planned)]:
-                blended = _blended(plan, state)
+                blended = _blend_start(plan, state)
                 if blended is not None:
                     is_found = True
                     yield blended
@@ -96,7 +96,7 @@ def _plans_in_motion(problem: Problem, state: BoundaryState, solve: Solver, stop
             return
         raise error if failure is None or isinstance(error, UnavoidableContactError) else failure from None
     yield stopping
-    blended = _blended(stopping, state) if may_be_blended else None
+    blended = _blend_start(stopping, state) if may_be_blended else None
     if blended is not None:
         yield blended
 
@@ -108,7 +108,7 @@ def _is_within(problem: Problem, state: BoundaryState) -> bool:
     return not (fast | (np.abs(state.acceleration) > limits.acceleration)).any()
 
 
-def _blended(plan: Plan, state: BoundaryState) -> Plan | None:
+def _blend_start(plan: Plan, state: BoundaryState) -> Plan | None:
     """A plan with its transit blended with a state, or None.
 
     A transit that already begins in motion is optimized.
@@ -125,7 +125,7 @@ def _blended(plan: Plan, state: BoundaryState) -> Plan | None:
             pieces = effort.levels[0].pieces_of(transit.duration, problem.options.rate_hz)
             if pieces < 2 * RESTING:
                 return None
-            start = TimedSpline.near(transit.positions, even_breaks(transit.duration, pieces), ends)
+            start = TimedSpline.approximate(transit.positions, even_breaks(transit.duration, pieces), ends)
         spline = minimize_time(start, program, effort)
     if spline is None:
         return None
@@ -133,13 +133,13 @@ def _blended(plan: Plan, state: BoundaryState) -> Plan | None:
     certificate = certificate_of(problem, trajectory, rest_to_rest=False)
     if not certificate.verified:
         return None
-    return replace(plan, transit=plan.transit.made(trajectory, certificate, spline.path))
+    return replace(plan, transit=plan.transit.with_trajectory(trajectory, certificate, spline.path))
 
 
 def _stopping_first(stop: Motion, plan: Plan) -> Plan:
     """Join a stop and the plan from its end into one plan."""
     transit = plan.transit
-    trajectory = joined([stop.trajectory, transit.trajectory])
+    trajectory = join_trajectories([stop.trajectory, transit.trajectory])
     certificate = all_of([stop.certificate, transit.certificate])
     waypoints = frozen(np.vstack([stop.trajectory.position[:1], transit.waypoints]))
     whole = replace(transit, waypoints=waypoints, trajectory=trajectory, certificate=certificate)
@@ -203,7 +203,7 @@ def stops(robot: Robot, state: BoundaryState, period: float, given: Trajectory |
         push = part * robot.acceleration_limit
         with np.errstate(divide="ignore", invalid="ignore"):
             slowest = float(np.nan_to_num(np.abs(state.velocity) / push, posinf=0.0).max())
-        together = push if slowest == 0.0 else np.minimum(push, np.abs(state.velocity) / slowest + _TOGETHER)
+        together = push if slowest == 0.0 else np.minimum(push, np.abs(state.velocity) / slowest + _EXTRA_ACCELERATION)
         for pushes in (push, together):
             found = braking(robot, state.position, state.velocity, state.acceleration, period, pushes)
             if found is not None:

@@ -65,7 +65,7 @@ class World(Record):
     hanging: tuple[str, ...] = ()
 
     @classmethod
-    def of(
+    def build(
         cls,
         robot: Robot,
         solids: Sequence[Solid],
@@ -87,7 +87,7 @@ class World(Record):
             OptionError: `yield_links` names an unknown link.
         """
         growth = growths(solids, sigmas)
-        linked = LinkedSolids.of(robot, solids, clearance + growth, yield_links, growth)
+        linked = LinkedSolids.build(robot, solids, clearance + growth, yield_links, growth)
         field = linked.field(robot, own_clearance=clearance, deviation=tracking_error)
         check_deadline()
         checker = CoalScene(
@@ -108,32 +108,32 @@ class World(Record):
         tracking_error = options.tracking.still_rad
         key = scene.solids_with_goal, scene.clearance, tracking_error, options.sigmas, scene.yield_links
         check_deadline()
-        kept: deque[tuple[object, World]] = robot.cached("worlds", lambda: deque(maxlen=2))
+        kept: deque[tuple[object, World]] = robot.cache("worlds", lambda: deque(maxlen=2))
         for known, world in tuple(kept):
             if known == key:
                 return world
-        world = cls.of(
+        world = cls.build(
             robot, key[0], clearance=scene.clearance, tracking_error=tracking_error, sigmas=options.sigmas,
             yield_links=scene.yield_links,
         )  # fmt: skip
         kept.append((key, world))
         return world
 
-    def touching(self, name: str, hangs_from: Sequence[str] = ()) -> World:
+    def allow_touch(self, name: str, hangs_from: Sequence[str] = ()) -> World:
         """Return the world in which the last link may touch a solid.
 
         Other links may push the solids that it is attached to.
         """
         rigid = [solid.name for solid in self.solids if solid.name in hangs_from and not solid.yields]
         touched, hanging = (*self.touched, name), (*self.hanging, *rigid)
-        checker = self.checker.touching(name, rigid)
+        checker = self.checker.allow_touch(name, rigid)
         if not rigid:
-            field = self.field.sparing(self.linked.named((name,)))
+            field = self.field.ignoring_last_link(self.linked.name_mask((name,)))
             return replace(self, field=field, checker=checker, touched=touched)
         whole = self.clearance + self.growth
-        linked = LinkedSolids.of(self.robot, self.solids, whole, self.yield_links, self.growth, hanging)
+        linked = LinkedSolids.build(self.robot, self.solids, whole, self.yield_links, self.growth, hanging)
         field = linked.field(self.robot, own_clearance=self.clearance, deviation=self.deviation)
-        field = field.sparing(linked.named(touched))
+        field = field.ignoring_last_link(linked.name_mask(touched))
         return replace(self, field=field, checker=checker, linked=linked, touched=touched, hanging=hanging)
 
     def check_clear(self, q: FloatArray, which: str) -> float:
@@ -150,19 +150,19 @@ class World(Record):
                 tracking error alone is too large, it also names the largest one that would fit.
         """
         key = q.tobytes()
-        found = self._known.get(key)
+        found = self._cached_clearances.get(key)
         if found is None:
-            found = self._checked(q, which)
-            if len(self._known) < _KNOWN:
-                self._known[key] = found
+            found = self._check(q, which)
+            if len(self._cached_clearances) < _KNOWN:
+                self._cached_clearances[key] = found
         return found
 
     @cached_property
-    def _known(self) -> dict[bytes, float]:
+    def _cached_clearances(self) -> dict[bytes, float]:
         """Cached clearances of collision-free configurations; tours check their stops repeatedly."""
         return {}
 
-    def _checked(self, q: FloatArray, which: str) -> float:
+    def _check(self, q: FloatArray, which: str) -> float:
         if self.deviation == 0.0:
             return check_clear(self.checker, q, self.clearance, which)
         sway = pair_sways(self.checker, np.full((1, self.robot.dof), self.deviation))[:, 0]
@@ -189,8 +189,8 @@ class World(Record):
             deviation = fraction * self.deviation
             smaller = self.linked.field(self.robot, own_clearance=self.clearance, deviation=deviation)
             if self.touched:
-                smaller = smaller.sparing(self.linked.named(self.touched))
-            return bool((smaller.along(configurations).min(axis=1) > wanted).any())
+                smaller = smaller.ignoring_last_link(self.linked.name_mask(self.touched))
+            return bool((smaller.clearance_along(configurations).min(axis=1) > wanted).any())
 
         return largest_fraction(is_clear)
 
@@ -233,7 +233,7 @@ def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str,
     """
     if not checker.pairs:
         return float("inf")
-    kept = np.broadcast_to(np.asarray(checker.kept(clearance)), (len(checker.pairs),))
+    kept = np.broadcast_to(np.asarray(checker.required_distance(clearance)), (len(checker.pairs),))
     sways = np.broadcast_to(np.asarray(sway, dtype=np.float64), kept.shape)
     worst, distance = checker.nearest_pair(q, kept + sways)
     beyond = (distance - float(sways[worst])) - float(kept[worst])
@@ -243,7 +243,7 @@ def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str,
         error = ConfigurationInCollisionError(
             which, nearest.link, nearest.obstacle, -beyond, float(kept[worst] + sways[worst]),
             mover=robot.link_in_words(nearest.link),
-            other=robot.link_in_words(nearest.obstacle) if is_own else nearest.other,
+            other=robot.link_in_words(nearest.obstacle) if is_own else nearest.other_name,
         )  # fmt: skip
         arms = [robot.owner_of(nearest.link), robot.owner_of(nearest.obstacle)]
         if is_own and arms[0] != arms[1]:

@@ -27,7 +27,7 @@ from hplan.robot.model import Robot, made_once
 
 #: Carriers of base shapes that a link can touch: bodies that turn with the arm plane, and fixed bodies.
 TURRET: Final = -1
-GROUND: Final = -2
+GROUND_CARRIER: Final = -2
 
 #: Permitted penetration between a body and the body that carries it [m].
 BASE_DEPTH: Final = 1e-3
@@ -93,8 +93,8 @@ class BaseShape:
 
         Both are at yaw 0.
         """
-        ball, at = coal.Sphere(_SPECK), pin.SE3(np.eye(3), point)
-        return coal_distance(self.placed.geometry, self.placement, ball, at) + _SPECK
+        ball, at = coal.Sphere(_SPECK_RADIUS), pin.SE3(np.eye(3), point)
+        return coal_distance(self.placed.geometry, self.placement, ball, at) + _SPECK_RADIUS
 
     def placed_at(self, yaw: float) -> pin.SE3:
         """Pose in `base_link` with the turret at a yaw."""
@@ -103,7 +103,7 @@ class BaseShape:
 
 
 #: Radius of the ball that represents a point [m].
-_SPECK = 1e-3
+_SPECK_RADIUS = 1e-3
 
 
 @made_once
@@ -152,7 +152,7 @@ def base_radius(robot: Robot) -> float:
     return radius
 
 
-def filled(shape: pin.GeometryObject) -> coal.CollisionGeometry:
+def solid_geometry(shape: pin.GeometryObject) -> coal.CollisionGeometry:
     """Geometry of a shape; the convex hull for a mesh."""
     geometry = shape.geometry
     if isinstance(geometry, coal.BVHModelBase):
@@ -160,7 +160,7 @@ def filled(shape: pin.GeometryObject) -> coal.CollisionGeometry:
     return geometry
 
 
-def ever(distance: Callable[[float], float], low: float, high: float, rate: float, level: float) -> bool:
+def may_reach(distance: Callable[[float], float], low: float, high: float, rate: float, level: float) -> bool:
     """True if a distance nearly reaches a level in an interval.
 
     False is certain.
@@ -188,12 +188,12 @@ def ever(distance: Callable[[float], float], low: float, high: float, rate: floa
     return False
 
 
-def always(distance: Callable[[float], float], low: float, high: float, rate: float, level: float) -> bool:
+def is_always_within(distance: Callable[[float], float], low: float, high: float, rate: float, level: float) -> bool:
     """True if a distance is at most a level over an interval.
 
     True is certain. See `ever`.
     """
-    return not ever(lambda place: -distance(place), low, high, rate, -level)
+    return not may_reach(lambda place: -distance(place), low, high, rate, -level)
 
 
 def _base_shape(robot: Robot, number: int) -> BaseShape:
@@ -205,8 +205,8 @@ def _base_shape(robot: Robot, number: int) -> BaseShape:
     return BaseShape(
         number=number,
         name=str(robot.model.frames[shape.parentFrame].name),
-        carrier=GROUND if shape.parentJoint == 0 else TURRET,
-        placed=pin.GeometryObject(f"body:{number}", shape.parentJoint, shape.placement, filled(shape)),
+        carrier=GROUND_CARRIER if shape.parentJoint == 0 else TURRET,
+        placed=pin.GeometryObject(f"body:{number}", shape.parentJoint, shape.placement, solid_geometry(shape)),
         placement=placement,
         core=frozen(points @ placement.rotation.T + placement.translation),
         rounding=float(rounding),

@@ -43,7 +43,7 @@ _STANDS_OUT: Final = 0.25
 _STANDS_OUT_M: Final = 0.03
 
 #: A mesh that fills less than this fraction of its convex hull is not replaced by the hull.
-_FILLED: Final = 0.8
+_FILLED_FRACTION: Final = 0.8
 
 #: Directions for comparing the drawn link with the shapes of its neighbours.
 _DIRECTIONS: Final = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], dtype=np.float64) - 1.0
@@ -96,7 +96,7 @@ def find_shape_faults(
             fault = _misfit(name, points, _points(shapes[name]), around)
         else:
             fault = ShapeFault(name, "has no collision shape")
-        if fault is None or (not fault.is_covered and _is_within(points, collision_model, int(frame.parentJoint))):
+        if fault is None or (not fault.is_covered and _is_covered(points, collision_model, int(frame.parentJoint))):
             continue
         found.append(fault)
     return tuple(found)
@@ -206,11 +206,11 @@ def _points(shapes: Iterable[pin.GeometryObject]) -> FloatArray:
 
     The points are in the joint's frame.
     """
-    placed = [_corners(s.geometry) @ s.placement.rotation.T + s.placement.translation for s in shapes]
+    placed = [_box_corners(s.geometry) @ s.placement.rotation.T + s.placement.translation for s in shapes]
     return np.concatenate([*placed, np.empty((0, 3))])
 
 
-def _corners(geometry: coal.CollisionGeometry) -> FloatArray:
+def _box_corners(geometry: coal.CollisionGeometry) -> FloatArray:
     if isinstance(geometry, coal.BVHModelBase):
         return np.asarray(geometry.vertices(), dtype=np.float64).reshape(-1, 3)
     geometry.computeLocalAABB()
@@ -219,7 +219,7 @@ def _corners(geometry: coal.CollisionGeometry) -> FloatArray:
     return corners
 
 
-def _is_within(drawn: FloatArray, geometry: pin.GeometryModel, joint: int) -> bool:
+def _is_covered(drawn: FloatArray, geometry: pin.GeometryModel, joint: int) -> bool:
     """True if the outermost visual points lie within a joint's collision shapes.
 
     Args:
@@ -231,7 +231,7 @@ def _is_within(drawn: FloatArray, geometry: pin.GeometryModel, joint: int) -> bo
     if not bodies or not len(drawn):
         return False
     outermost = drawn[(drawn @ _DIRECTIONS.T).argmax(axis=0)]
-    solids = [(body.placement, solid) for body in bodies for solid in _solids(body.geometry)]
+    solids = [(body.placement, solid) for body in bodies for solid in _convex_solids(body.geometry)]
     point, request = coal.Sphere(1e-9), coal.DistanceRequest()
 
     def distance(at: FloatArray, placement: pin.SE3, solid: coal.CollisionGeometry) -> float:
@@ -242,7 +242,7 @@ def _is_within(drawn: FloatArray, geometry: pin.GeometryModel, joint: int) -> bo
     return all(any(distance(at, *solid) <= _COVERED_M for solid in solids) for at in outermost)
 
 
-def _solids(geometry: coal.CollisionGeometry) -> Iterator[coal.CollisionGeometry]:
+def _convex_solids(geometry: coal.CollisionGeometry) -> Iterator[coal.CollisionGeometry]:
     """Convex solids of a shape.
 
     A convex shape is returned itself; a mesh that nearly fills its hull is replaced by the hull; other meshes give
@@ -251,6 +251,6 @@ def _solids(geometry: coal.CollisionGeometry) -> Iterator[coal.CollisionGeometry
     if not isinstance(geometry, coal.BVHModelBase):
         yield geometry
         return
-    hull = convex_shape(whole_hull(_corners(geometry)))
-    if float(geometry.computeVolume()) >= _FILLED * float(hull.computeVolume()):
+    hull = convex_shape(whole_hull(_box_corners(geometry)))
+    if float(geometry.computeVolume()) >= _FILLED_FRACTION * float(hull.computeVolume()):
         yield hull

@@ -26,17 +26,17 @@ from hplan.base.arrays import FloatArray, Record, readonly
 from hplan.base.kernels import kernel
 
 #: Pinocchio's joints with one axis that is fixed in the joint's own frame.
-TURNING = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
-SLIDING = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")
+TURNING_JOINTS = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
+SLIDING_JOINTS = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")
 
 # Layout of a body's rows. In its parent's frame, a joint at q has the rotation FIXED + cos(q) EVEN + sin(q) ODD and the
 # position PLACE + q SHIFT.
 _FIXED = 0  # three rows
 _EVEN = 3  # three rows
 _ODD = 6  # three rows
-_PLACE = 9
+_PLACE_COLUMN = 9
 _SHIFT = 10
-_TURN = 11  # rotation axis, or zeros
+_TURN_COLUMN = 11  # rotation axis, or zeros
 _SLIDE = 12  # sliding direction, or zeros
 _CENTRE = 13  # the body's centre of mass
 _INERTIA = 14  # three rows: inertia about the centre
@@ -45,7 +45,7 @@ _NUMBERS = 17  # mass, rotor inertia, parent's index (-1 for the base)
 
 def joints_that_slide(model: pin.Model) -> tuple[bool, ...]:
     """Whether each joint of a model is prismatic: in metres, with forces."""
-    return tuple(joint.shortname() in SLIDING for joint in model.joints.tolist()[1:])
+    return tuple(joint.shortname() in SLIDING_JOINTS for joint in model.joints.tolist()[1:])
 
 
 def joint_axis(model: pin.Model, joint: int) -> tuple[FloatArray, bool]:
@@ -78,14 +78,14 @@ class InverseDynamics(Record):
     sizes: FloatArray | None
 
     @classmethod
-    def of(cls, model: pin.Model) -> InverseDynamics:
+    def build(cls, model: pin.Model) -> InverseDynamics:
         """Build the inverse dynamics of a model."""
         joints = model.joints.tolist()[1:]
-        if any(joint.shortname() not in TURNING + SLIDING for joint in joints):
+        if any(joint.shortname() not in TURNING_JOINTS + SLIDING_JOINTS for joint in joints):
             return cls(model, None, None)
-        bodies = [_body(model, number, joint) for number, joint in enumerate(joints, start=1)]
+        bodies = [_body_of_joint(model, number, joint) for number, joint in enumerate(joints, start=1)]
         rows = readonly(np.array(bodies).reshape(-1, 18, 3))
-        return cls(model, rows, _sizes(rows))
+        return cls(model, rows, _compute_sizes(rows))
 
     def torques(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """Inverse dynamics: (n, nv) torques [N m].
@@ -110,7 +110,7 @@ class InverseDynamics(Record):
         return self.torques(q, rest, rest)
 
 
-def _body(model: pin.Model, number: int, joint: pin.JointModel) -> FloatArray:
+def _body_of_joint(model: pin.Model, number: int, joint: pin.JointModel) -> FloatArray:
     """(18, 3) rows of one joint and its body."""
     data = joint.createData()
     joint.calc(data, np.zeros(1))
@@ -122,18 +122,18 @@ def _body(model: pin.Model, number: int, joint: pin.JointModel) -> FloatArray:
     rows[_FIXED : _FIXED + 3] = place.rotation @ along
     rows[_EVEN : _EVEN + 3] = place.rotation @ (np.eye(3) - along)
     rows[_ODD : _ODD + 3] = place.rotation @ pin.skew(turn)
-    rows[_PLACE], rows[_SHIFT] = place.translation, place.rotation @ slide
-    rows[_TURN], rows[_SLIDE] = turn, slide
+    rows[_PLACE_COLUMN], rows[_SHIFT] = place.translation, place.rotation @ slide
+    rows[_TURN_COLUMN], rows[_SLIDE] = turn, slide
     rows[_CENTRE], rows[_INERTIA : _INERTIA + 3] = inertia.lever, inertia.inertia
     rows[_NUMBERS] = inertia.mass, model.armature[number - 1], model.parents[number] - 1
     return rows
 
 
-def _sizes(bodies: FloatArray) -> FloatArray:
+def _compute_sizes(bodies: FloatArray) -> FloatArray:
     """Compute `InverseDynamics.sizes` from its `bodies`."""
     parent = bodies[:, _NUMBERS, 2]
     columns = (
-        np.linalg.norm(bodies[:, _PLACE], axis=1),
+        np.linalg.norm(bodies[:, _PLACE_COLUMN], axis=1),
         np.linalg.norm(bodies[:, _CENTRE], axis=1),
         bodies[:, _NUMBERS, 0],
         np.linalg.norm(bodies[:, _INERTIA : _INERTIA + 3], ord=2, axis=(1, 2)),
@@ -163,7 +163,7 @@ def newton_euler(
             body, own, above = bodies[i], motion[i], motion[int(bodies[i, _NUMBERS, 2])]
             cos, sin, speed, push = math.cos(q[row, i]), math.sin(q[row, i]), v[row, i], a[row, i]
             for r in range(3):
-                arm[i, r] = body[_PLACE, r] + q[row, i] * body[_SHIFT, r]
+                arm[i, r] = body[_PLACE_COLUMN, r] + q[row, i] * body[_SHIFT, r]
                 for c in range(3):
                     turn[i, r, c] = body[_FIXED + r, c] + cos * body[_EVEN + r, c] + sin * body[_ODD + r, c]
             # The parent's motion at this joint, rotated into this joint's frame.
@@ -180,11 +180,11 @@ def newton_euler(
                     own[k, c] = turn[i, 0, c] * given[k, 0] + turn[i, 1, c] * given[k, 1] + turn[i, 2, c] * given[k, 2]
             # Contribution of the joint itself.
             for c in range(3):
-                own[0, c] += speed * body[_TURN, c]
+                own[0, c] += speed * body[_TURN_COLUMN, c]
             for c in range(3):
                 d, e = (c + 1) % 3, (c + 2) % 3
-                own[1, c] += push * body[_TURN, c]
-                own[1, c] += speed * (own[0, d] * body[_TURN, e] - own[0, e] * body[_TURN, d])
+                own[1, c] += push * body[_TURN_COLUMN, c]
+                own[1, c] += speed * (own[0, d] * body[_TURN_COLUMN, e] - own[0, e] * body[_TURN_COLUMN, d])
                 own[2, c] += push * body[_SLIDE, c]
                 own[2, c] += 2.0 * speed * (own[0, d] * body[_SLIDE, e] - own[0, e] * body[_SLIDE, d])
                 swing[c] = own[0, d] * body[_CENTRE, e] - own[0, e] * body[_CENTRE, d]
@@ -206,7 +206,7 @@ def newton_euler(
             body, parent = bodies[i], int(bodies[i, _NUMBERS, 2])
             torque[row, i] = body[_NUMBERS, 1] * a[row, i]
             for c in range(3):
-                torque[row, i] += body[_SLIDE, c] * load[i, 0, c] + body[_TURN, c] * load[i, 1, c]
+                torque[row, i] += body[_SLIDE, c] * load[i, 0, c] + body[_TURN_COLUMN, c] * load[i, 1, c]
             if parent < 0:
                 continue
             for k in range(2):

@@ -17,7 +17,7 @@ from hplan.base import ties
 from hplan.base.arrays import FloatArray, readonly
 from hplan.errors import RobotFamilyError, RobotFileError
 from hplan.geometry.hull import CUBE_CORNERS
-from hplan.robot.dynamics import SLIDING, TURNING
+from hplan.robot.dynamics import SLIDING_JOINTS, TURNING_JOINTS
 from hplan.robot.planar_family import PlanarArm, PlanarFamily
 from hplan.robot.urdf_check import frame_number
 
@@ -28,7 +28,7 @@ _GEOMETRY_TOLERANCE = 1e-6
 _AXIS_TOLERANCE = 1e-9
 
 #: Fraction of an interval that golden-section search keeps.
-_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+_GOLDEN_FRACTION = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
 def read_family(model: pin.Model, collision_model: pin.GeometryModel, tool_frame: str) -> PlanarFamily:
@@ -91,7 +91,7 @@ def check_joints(path: Path, model: pin.Model) -> None:
         raise RobotFileError(path, "it has no moving joint")
     for index in range(1, model.njoints):
         name, kind = model.names[index], model.joints[index].shortname()
-        if kind not in TURNING + SLIDING:
+        if kind not in TURNING_JOINTS + SLIDING_JOINTS:
             advice = hold_advice(name) if model.joints[index].nq == 1 else "make it a fixed joint"
             reason = f"it is a {kind}; only revolute and prismatic joints move; {advice}"
             raise RobotFileError(path, f"joint {name!r}: {reason}")
@@ -101,7 +101,7 @@ def check_joints(path: Path, model: pin.Model) -> None:
             raise RobotFileError(path, f"joint {name!r}: its axis has no direction")
         low, high = model.lowerPositionLimit[index - 1], model.upperPositionLimit[index - 1]
         if not low < high:
-            unit = "rad" if kind in TURNING else "m"
+            unit = "rad" if kind in TURNING_JOINTS else "m"
             reason = f"its lower limit {low:g} {unit} is not below its upper limit {high:g} {unit}"
             raise RobotFileError(path, f"joint {name!r}: {reason}")
 
@@ -110,7 +110,7 @@ def _check_chain(model: pin.Model) -> None:
     """Reject anything but a serial chain of revolute joints."""
     for index in range(1, model.njoints):
         name, kind = model.names[index], model.joints[index].shortname()
-        if kind not in TURNING:
+        if kind not in TURNING_JOINTS:
             reason = f"it is a {kind}; the family's joints are revolute; {hold_advice(name)}"
             raise RobotFamilyError(model.name, f"joint {name!r}", reason)
         if model.parents[index] != index - 1:
@@ -134,13 +134,13 @@ def _has_yaw(model: pin.Model, axes: FloatArray) -> bool:
         return False
     joint, tilt = f"joint {model.names[1]!r}", _angle_between(axes[0], np.array([0.0, 0.0, 1.0]))
     if tilt > _AXIS_TOLERANCE:
-        reason = "it is neither parallel to the next joint nor vertical" + _nearly(min(between, tilt))
+        reason = "it is neither parallel to the next joint nor vertical" + _advise_on_axis(min(between, tilt))
         raise RobotFamilyError(model.name, joint, reason)
     if axes[0, 2] < 0.0:
         raise RobotFamilyError(model.name, joint, "the yaw axis points down; turn it to +z")
     lean = abs(math.atan2(axes[1, 2], math.hypot(axes[1, 0], axes[1, 1])))
     if lean > _AXIS_TOLERANCE:
-        reason = "it is not perpendicular to the yaw axis" + _nearly(lean)
+        reason = "it is not perpendicular to the yaw axis" + _advise_on_axis(lean)
         raise RobotFamilyError(model.name, f"joint {model.names[2]!r}", reason)
     return True
 
@@ -154,7 +154,7 @@ def _plane(model: pin.Model, axes: FloatArray, points: FloatArray) -> tuple[Floa
     for name, axis in zip(planar, axes, strict=True):
         angle = _angle_between(axis, axes[0])
         if angle > _AXIS_TOLERANCE:
-            reason = f"it is not parallel to joint {planar[0]!r}{_nearly(angle)}; {hold_advice(name)}"
+            reason = f"it is not parallel to joint {planar[0]!r}{_advise_on_axis(angle)}; {hold_advice(name)}"
             raise RobotFamilyError(model.name, f"joint {name!r}", reason)
     normal = axes[0]
     up = np.array([0.0, 0.0, 1.0]) - normal[2] * normal
@@ -205,7 +205,7 @@ def hold_advice(joint: str) -> str:
     return f"hold={{{joint!r}: 0.0}} (--hold {joint}=0) locks it"
 
 
-def _nearly(angle: float) -> str:
+def _advise_on_axis(angle: float) -> str:
     """Advice about an axis that is off by a small angle."""
     if angle > 0.01:
         return ""
@@ -261,7 +261,7 @@ def _thinnest(outlines: Sequence[tuple[FloatArray, FloatArray, float]]) -> float
 
     low, high = (float(end([end(aside) for aside, _, _ in outlines])) for end in (np.min, np.max))
     while high - low > 1e-3 * _GEOMETRY_TOLERANCE:
-        left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+        left, right = high - _GOLDEN_FRACTION * (high - low), low + _GOLDEN_FRACTION * (high - low)
         if radius(left) <= radius(right):
             high = right
         else:

@@ -167,7 +167,7 @@ def filtered_links(path: Path, root: ET.Element, links: Collection[str]) -> tupl
         if (group.get("ignore") or "false").strip().lower() in ("false", "0")
     }
 
-    def named(element: ET.Element, key: str, known: Collection[str]) -> str:
+    def check_named(element: ET.Element, key: str, known: Collection[str]) -> str:
         name = element.get(key)
         if name not in known:
             reason = f"{line_of(element)}{key} of <{element.tag}> is {name!r}, expected one of {', '.join(known)}"
@@ -175,13 +175,13 @@ def filtered_links(path: Path, root: ET.Element, links: Collection[str]) -> tupl
         return str(name)
 
     members = {
-        name: [named(member, "link", links) for member in group.findall("drake:member")]
+        name: [check_named(member, "link", links) for member in group.findall("drake:member")]
         for name, group in groups.items()
     }
     found: dict[tuple[str, str], str] = {}
     for name, group in groups.items():
         for ignored in group.findall("drake:ignored_collision_filter_group"):
-            for first, second in itertools.product(members[name], members[named(ignored, "name", groups)]):
+            for first, second in itertools.product(members[name], members[check_named(ignored, "name", groups)]):
                 if first != second:
                     found.setdefault((min(first, second), max(first, second)), f"Drake's filter group {name!r}")
     return tuple((*pair, reason) for pair, reason in found.items())

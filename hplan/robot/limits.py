@@ -118,7 +118,7 @@ class Limits(Record):
     torque: FloatArray | None = None
     jerk: FloatArray | None = None
 
-    def scaled(self, speed: float) -> Limits:
+    def scale(self, speed: float) -> Limits:
         """Scale the limits for motions at a fraction of full speed.
 
         Torque limits are unchanged, because gravity torques do not scale with speed.
@@ -127,7 +127,7 @@ class Limits(Record):
             OptionError: `speed` is not in (0, 1].
 
         Examples:
-            >>> Limits(np.ones(1), np.ones(1)).scaled(0.5).acceleration.tolist()
+            >>> Limits(np.ones(1), np.ones(1)).scale(0.5).acceleration.tolist()
             [0.25]
         """
         check_speed(speed)

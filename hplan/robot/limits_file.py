@@ -200,14 +200,14 @@ def find_limits(
         slides = [urdf.joints[name].kind == "prismatic" for name in joint_names]
         return read_limits(default if given is None else given, joint_names, slides, held)
 
-    def listed(key: str) -> FloatArray:
+    def read_list(key: str) -> FloatArray:
         for name, limit in zip(joint_names, limits, strict=True):
             if key not in limit:
                 reason = f"joint {name!r}: <limit> has no {key}, unlike other joints: {LIMITS_ADVICE}"
                 raise RobotFileError(urdf_path, line_of(urdf.joints[name].element) + reason)
         return np.array([limit[key] for limit in limits])
 
-    return listed("acceleration"), listed("jerk") if any("jerk" in limit for limit in limits) else None
+    return read_list("acceleration"), read_list("jerk") if any("jerk" in limit for limit in limits) else None
 
 
 #: Advice on how to specify limits.
@@ -248,7 +248,7 @@ def read_limits(
     tables = _read_tables(path)
     known, kinds = frozenset(others), dict(zip(joint_names, slides, strict=True))
 
-    def ordered(quantity: str) -> FloatArray | None:
+    def read_ordered(quantity: str) -> FloatArray | None:
         keys = LIMIT_KEYS[quantity]
         turning, sliding = (table.get(quantity, {}) for table in (tables.turning, tables.sliding))
         if not turning and not sliding:
@@ -268,10 +268,10 @@ def read_limits(
             raise RobotFileError(path, f"{keys[0]}: joints missing {missing}, unknown {unknown}")
         return np.array([found[name] for name in joint_names])
 
-    acceleration = ordered("acceleration")
+    acceleration = read_ordered("acceleration")
     if acceleration is None:
         lacking = "acceleration_rad_s2 is missing, or acceleration_m_s2 of prismatic joints"
         if tables.is_moveit:
             lacking = "joint_limits: no joint has has_acceleration_limits: true and a positive max_acceleration"
         raise RobotFileError(path, lacking)
-    return acceleration, ordered("jerk")
+    return acceleration, read_ordered("jerk")

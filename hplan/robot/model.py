@@ -20,7 +20,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from hplan.base.arguments import each, file_path, instance, list_of, number, truth
+from hplan.base.arguments import check_each, file_path, instance, list_of, number, truth
 from hplan.base.arrays import BoolArray, FloatArray, Record, as_array, numbers, readonly
 from hplan.base.files import is_file
 from hplan.base.units import FARTHEST_JOINT, JointUnit, joint_unit
@@ -196,23 +196,23 @@ class Robot(PlanarNames, Record):
         return find_tool_axis(self.model, self.frame_number(self.tool_frame))
 
     @cached_property
-    def _made(self) -> dict[Hashable, Any]:
+    def _cache(self) -> dict[Hashable, Any]:
         return {}
 
-    def cached(self, key: Hashable, make: Callable[[], _T]) -> _T:
+    def cache(self, key: Hashable, make: Callable[[], _T]) -> _T:
         """Return `make`'s result, computed once per key.
 
         For values that depend on the robot alone.
         """
-        if key not in self._made:
-            self._made[key] = make()
-        made: _T = self._made[key]
+        if key not in self._cache:
+            self._cache[key] = make()
+        made: _T = self._cache[key]
         return made
 
     @cached_property
     def dynamics(self) -> InverseDynamics:
         """Inverse dynamics of the model."""
-        return InverseDynamics.of(self.model)
+        return InverseDynamics.build(self.model)
 
     def yaw_of(self, q: ArrayLike) -> float:
         """Yaw of a configuration; 0 for a robot without one.
@@ -400,11 +400,11 @@ def made_once(make: Callable[Concatenate[Robot, _P], _T]) -> Callable[Concatenat
     defaults = getattr(make, "__defaults__", None) or ()
 
     @wraps(make)
-    def known(robot: Robot, /, *given: _P.args, **named: _P.kwargs) -> _T:
+    def read_cache(robot: Robot, /, *given: _P.args, **named: _P.kwargs) -> _T:
         key = (make, *given, *defaults[len(given) :], *named.items())
-        return robot.cached(key, lambda: make(robot, *given, **named))
+        return robot.cache(key, lambda: make(robot, *given, **named))
 
-    return known
+    return read_cache
 
 
 def load_robot(
@@ -517,27 +517,27 @@ def _read_robot(
         None if joints is None else list_of("joints", joints, str, "names"),
         {
             name: number(f"hold[{name!r}]", value, "a position")
-            for name, value in _mapping("hold", hold, "{joint: value}").items()
+            for name, value in _read_hold("hold", hold, "{joint: value}").items()
         },
-        (*each("package_dirs", package_dirs, "a list of folders", file_path), *files.package_dirs),
+        (*check_each("package_dirs", package_dirs, "a list of folders", file_path), *files.package_dirs),
         ()
         if isinstance(collision_from_visual, bool)
         else list_of("collision_from_visual", collision_from_visual, str, "names of links"),
         limits=given if given is not None or files.urdf == URDF_TEXT else _existing(default_limits(files.urdf)),
         guesses_tool=tool_frame is None,
-        xacro_args={name: str(value) for name, value in _mapping("xacro_args", xacro_args, "{name: value}").items()},
+        xacro_args={name: str(value) for name, value in _read_hold("xacro_args", xacro_args, "{name: value}").items()},
     )
     text = path if isinstance(path, str) and is_urdf_text(path) else None
     urdf_path = files.urdf
     every = collision_from_visual is True
-    choice, root, adapted, models = _built(urdf_path, text, choice, mend=every)
+    choice, root, adapted, models = _build_models(urdf_path, text, choice, mend=every)
     undrawn = {link for link, _ in adapted.missing_visuals}
     faults = find_shape_faults(*models, undrawn)
     drawn = {shape.name.rpartition("_")[0] for shape in models[2].geometryObjects}
     from_visual = [fault.link for fault in faults if fault.link in drawn]
     if from_visual and every:
         choice = replace(choice, from_visual=(*choice.from_visual, *from_visual))
-        choice, root, adapted, models = _built(urdf_path, text, choice)
+        choice, root, adapted, models = _build_models(urdf_path, text, choice)
         faults = find_shape_faults(*models, undrawn)
     model, collision_model, visual_model = models
     frame = adapted.tool_frame
@@ -589,7 +589,7 @@ def _read_planar(
         return None, (error.element, error.reason)
 
 
-def _built(
+def _build_models(
     urdf_path: Path, text: str | None, choice: RobotChoice, *, mend: bool = False
 ) -> tuple[RobotChoice, ET.Element, AdaptedUrdf, tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]]:
     """Adapt a URDF and build its kinematic, collision and visual models.
@@ -610,13 +610,13 @@ def _built(
         missing = meshes.links_without_mesh(root, tries=False) if mend and not choice.from_visual else ()
         if not missing:
             raise
-        return _built(urdf_path, text, replace(choice, from_visual=missing))
+        return _build_models(urdf_path, text, replace(choice, from_visual=missing))
     try:
         return choice, root, adapted, build_models(urdf_path, adapted.urdf, adapted.text)
     except RobotFileError as error:
         unread = replace(choice, tries_visuals=True)
         if meshes.drop_missing_visuals(root, tries=True):
-            return _built(urdf_path, text, unread, mend=mend)
+            return _build_models(urdf_path, text, unread, mend=mend)
         broken = meshes.links_without_mesh(root, tries=True)
         if not broken:
             raise
@@ -625,10 +625,10 @@ def _built(
                 f"collision_from_visual={list(broken)} (--collision-from-visual) builds the shapes from the visuals"
             )
             raise
-    return _built(urdf_path, text, replace(choice, from_visual=broken))
+    return _build_models(urdf_path, text, replace(choice, from_visual=broken))
 
 
-def _mapping(name: str, given: Mapping[str, _T] | None, expected: str) -> dict[str, _T]:
+def _read_hold(name: str, given: Mapping[str, _T] | None, expected: str) -> dict[str, _T]:
     return {} if given is None else dict(instance(name, given, Mapping, expected))  # type: ignore[type-abstract]
 
 

@@ -30,17 +30,17 @@ from hplan.geometry.polygon import convex_hull, polygon_distances
 from hplan.robot.base_shapes import (
     TURRET,
     BaseShape,
-    always,
     base_shapes,
+    is_always_within,
 )
 from hplan.robot.model import Robot
 from hplan.robot.planar_family import PlanarArm
 
 #: Parts within this distance count as able to touch [m]: positions hold to 1e-6 rad, distances to 1e-5 m.
-SLACK: Final = 1e-4
+CONTACT_SLACK: Final = 1e-4
 
 #: Number of corners of the polygon circumscribed about a circle.
-_CORNERS: Final = 32
+_CIRCLE_CORNERS: Final = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,14 +66,14 @@ def self_contact(robot: Robot, *, deviation: float = 0.0, clearance: float = 0.0
     """
     # Maximum number of cached (tracking error, clearance) pairs per robot.
     most_known = 32
-    decide = robot.cached("self_contact", lambda: lru_cache(most_known)(partial(_decided, robot)))
+    decide = robot.cache("self_contact", lambda: lru_cache(most_known)(partial(_decide_contact, robot)))
     return decide(rounded_up(deviation), float(clearance))
 
 
-def _decided(robot: Robot, deviation: float, clearance: float) -> SelfContact:
+def _decide_contact(robot: Robot, deviation: float, clearance: float) -> SelfContact:
     arm = replace(robot.arm, lower=robot.arm.lower - deviation, upper=robot.arm.upper + deviation)
     return SelfContact(
-        links=_link_pairs(arm, clearance),
+        links=_planar_link_pairs(arm, clearance),
         bodies=tuple(_bodies(robot, arm, deviation, clearance)),
     )
 
@@ -118,14 +118,14 @@ def held_apart(arm: PlanarArm, i: int, j: int) -> float:
     return math.hypot(float(arm.lengths[i + 1 : j].sum()), aside) - float(arm.half_widths[i] + arm.half_widths[j])
 
 
-def _link_pairs(arm: PlanarArm, clearance: float) -> tuple[tuple[int, int], ...]:
+def _planar_link_pairs(arm: PlanarArm, clearance: float) -> tuple[tuple[int, int], ...]:
     pairs = []
     for i in range(arm.link_count):
         before = np.array([[-arm.lengths[i], 0.0], [0.0, 0.0]])  # link i, relative to the start of link i + 1
         for j in range(i + 2, arm.link_count):
             radius, aside = float(arm.half_widths[i] + arm.half_widths[j]), float(arm.lateral[j] - arm.lateral[i])
             held = held_apart(arm, i, j)
-            reach = radius_in_plane(radius + SLACK + (clearance if held > clearance else 0.0), aside)
+            reach = radius_in_plane(radius + CONTACT_SLACK + (clearance if held > clearance else 0.0), aside)
             if held > 0.0 and reach > 0.0 and _can_touch(part_of_arm(arm, i + 1, j), before, reach):
                 pairs.append((i, j))
     return tuple(pairs)
@@ -147,7 +147,7 @@ def _bodies(robot: Robot, arm: PlanarArm, deviation: float, clearance: float) ->
             held = partial(is_held, robot, shape, deviation, link)
             if held(0.0):
                 continue  # the shape carries the shoulder, or the links between are too short to leave it
-            reach = SLACK + (0.0 if clearance > 0.0 and held(clearance) else clearance)
+            reach = CONTACT_SLACK + (0.0 if clearance > 0.0 and held(clearance) else clearance)
             lateral = float(arm.lateral[link])
             off_plane = max(float(aside.min()) - lateral, lateral - float(aside.max()), 0.0)
             if off_plane <= radius + reach and _can_touch(part_of_arm(arm, 0, link), shadow, radius + reach):
@@ -182,7 +182,7 @@ def is_held(robot: Robot, shape: BaseShape, deviation: float, link: int, clearan
 
     if radius <= 1e-9:
         return distance(0.0) <= level
-    return always(distance, robot.lower[0] - deviation, robot.upper[0] + deviation, radius, level)
+    return is_always_within(distance, robot.lower[0] - deviation, robot.upper[0] + deviation, radius, level)
 
 
 def _swept(shape: BaseShape) -> FloatArray:
@@ -195,9 +195,9 @@ def _swept(shape: BaseShape) -> FloatArray:
     profile = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
     profile = convex_hull(np.vstack([profile, profile * [-1.0, 1.0]]))
     radius, height = profile[profile[:, 0] >= 0.0].T
-    angles = (np.arange(_CORNERS) + 0.5) * (2.0 * np.pi / _CORNERS)
-    ring = radius / np.cos(np.pi / _CORNERS)
-    rings = [np.outer(np.cos(angles), ring), np.outer(np.sin(angles), ring), np.tile(height, (_CORNERS, 1))]
+    angles = (np.arange(_CIRCLE_CORNERS) + 0.5) * (2.0 * np.pi / _CIRCLE_CORNERS)
+    ring = radius / np.cos(np.pi / _CIRCLE_CORNERS)
+    rings = [np.outer(np.cos(angles), ring), np.outer(np.sin(angles), ring), np.tile(height, (_CIRCLE_CORNERS, 1))]
     swept: FloatArray = shape.axis + np.stack(rings, axis=-1).reshape(-1, 3)
     return swept
 

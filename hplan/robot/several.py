@@ -52,7 +52,7 @@ def joined_robots(
     root = ET.Element("robot", name=name)
     ET.SubElement(root, "link", name=_ROOT)
     for each, (robot, placement) in arms.items():
-        links = _renamed(each, robot, root, jerk=jerk)
+        links = _rename_robot(each, robot, root, jerk=jerk)
         mount = ET.SubElement(root, "joint", name=f"{each}_mount", type="fixed")
         ET.SubElement(mount, "parent", link=_ROOT)
         ET.SubElement(mount, "child", link=links)
@@ -62,7 +62,7 @@ def joined_robots(
     first, (robot, _) = next(iter(arms.items()))
     found = read_robot(ET.tostring(root, encoding="unicode"), joints=joints, tool_frame=f"{first}_{robot.tool_frame}")
     allowed = [(f"{n}_{a}", f"{n}_{b}", why) for n in ordered for a, b, why in arms[n][0].may_touch]
-    allowed += _declared(arms, may_touch)
+    allowed += _iterate_declared(arms, may_touch)
     owners = {f"{each}_{link}": each for each, (robot, _) in arms.items() for link in _link_names(robot)}
     turning = np.concatenate([arms[each][0].continuous for each in ordered])
     faults = tuple(replace(fault, link=f"{each}_{fault.link}") for each in arms for fault in arms[each][0].shape_faults)
@@ -75,7 +75,7 @@ def joined_robots(
     )
 
 
-def _declared(
+def _iterate_declared(
     arms: Mapping[str, tuple[Robot, pin.SE3]], pairs: Iterable[tuple[ArmLink, ArmLink, str]]
 ) -> Iterator[tuple[str, str, str]]:
     """Validate pairs of links of different arms; yield their joined names.
@@ -102,7 +102,7 @@ def _link_names(robot: Robot) -> tuple[str, ...]:
     return tuple(str(frame.name) for frame in robot.model.frames if frame.type == pin.FrameType.BODY)
 
 
-def _renamed(name: str, robot: Robot, into: ET.Element, *, jerk: bool) -> str:
+def _rename_robot(name: str, robot: Robot, into: ET.Element, *, jerk: bool) -> str:
     """Copy a robot into a URDF with prefixed names; return its root.
 
     Links, joints and materials are prefixed.

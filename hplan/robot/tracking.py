@@ -67,7 +67,7 @@ class TrackingModel:
             deviations: FloatArray = self.still_rad + self.delay_s * np.abs(np.asarray(velocity, dtype=np.float64))
         return deviations
 
-    def scaled(self, fraction: float) -> TrackingModel:
+    def scale(self, fraction: float) -> TrackingModel:
         """Scale both deviations by a fraction."""
         return TrackingModel(fraction * self.still_rad, fraction * self.delay_s)
 
@@ -101,7 +101,7 @@ def name_margin(
     """
     if not fraction > 0.0:
         return
-    largest = asked.scaled(fraction)
+    largest = asked.scale(fraction)
     error.add(
         f"the required tracking error is {asked.summary(slides)}; {enough} up to {largest.summary(slides)}",
         tracking_error_deg=math.degrees(asked.still_rad),

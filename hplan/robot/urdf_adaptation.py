@@ -195,7 +195,7 @@ class _Adaptation:
         above = {joint.name for joint in mount}
         chain = [joint for joint in self._up_from(tip)[::-1] if joint.name not in above]
         values = self._values()
-        moving = self._moving(chain)
+        moving = self._moving_joints(chain)
         for joint in self._urdf.joints.values():
             if joint.kind == "fixed" or joint.name in above:
                 continue
@@ -277,7 +277,7 @@ class _Adaptation:
         tilt = np.eye(3)
         values = self._values() if mount else {}
         for joint in mount:
-            tilt = _placed(joint, values.get(joint.name)).rotation @ tilt
+            tilt = _child_placement(joint, values.get(joint.name)).rotation @ tilt
         # Tolerance between the verticals of `base_link` and of the links above it [rad].
         if math.hypot(tilt[0, 2], tilt[1, 2]) > 1e-9 or tilt[2, 2] < 0.0:
             angle = math.degrees(math.atan2(math.hypot(tilt[0, 2], tilt[1, 2]), tilt[2, 2]))
@@ -298,7 +298,7 @@ class _Adaptation:
         for joint in mount:
             if joint.kind != "fixed":
                 self._fix(joint, values[joint.name])
-            place = _placed(joint, values.get(joint.name)).inverse()
+            place = _child_placement(joint, values.get(joint.name)).inverse()
             set_origin(joint.element, place)
             for end, link in (("parent", joint.child), ("child", joint.parent)):
                 joint.element.find(end).set("link", link)  # type: ignore[union-attr]
@@ -307,7 +307,7 @@ class _Adaptation:
     def _values(self) -> dict[str, float | None]:
         return standing_values(self._path, self._urdf.joints, self._hold)
 
-    def _moving(self, chain: list[Joint]) -> set[str]:
+    def _moving_joints(self, chain: list[Joint]) -> set[str]:
         """Names of the moving joints."""
         joints = self._choice.joints
         on_chain = [joint.name for joint in chain if joint.kind != "fixed"]
@@ -400,10 +400,10 @@ def standing_values(path: Path, joints: Mapping[str, Joint], hold: Mapping[str, 
         InputError: A held joint mimics another, or has several coordinates.
         JointLimitError: A joint is held outside its limits.
     """
-    return {name: _standing(path, joints, hold, (name,)) for name, joint in joints.items() if joint.kind != "fixed"}
+    return {name: _mimic_value(path, joints, hold, (name,)) for name, joint in joints.items() if joint.kind != "fixed"}
 
 
-def _standing(
+def _mimic_value(
     path: Path, joints: Mapping[str, Joint], hold: Mapping[str, float], followers: tuple[str, ...]
 ) -> float | None:
     """Value of the last joint of a mimic chain.
@@ -422,7 +422,7 @@ def _standing(
         if joint.name in hold:
             reason = f"joint {joint.name!r} cannot be held by itself because it mimics {leader.name!r}; hold that joint"
             raise InputError(reason, joint=joint.name)
-        value = _standing(path, joints, hold, (*followers, leader.name))
+        value = _mimic_value(path, joints, hold, (*followers, leader.name))
         if value is None:
             raise RobotFileError(path, f"{where} mimics {leader.name!r}, which is {leader.kind}")
         return float(mimic.get("multiplier", "1")) * value + float(mimic.get("offset", "0"))
@@ -449,7 +449,7 @@ def fix_joint(path: Path, joint: Joint, value: float | None) -> None:
     if value:
         if not np.linalg.norm(joint.axis) > 0.0:
             raise RobotFileError(path, f"{line_of(joint.element)}joint {joint.name!r}: its axis has no direction")
-        set_origin(joint.element, _placed(joint, value))
+        set_origin(joint.element, _child_placement(joint, value))
     joint.element.set("type", "fixed")
     # Elements that are meaningless for a fixed joint.
     of_moving = ("axis", "limit", "mimic", "dynamics", "safety_controller", "calibration")
@@ -457,7 +457,7 @@ def fix_joint(path: Path, joint: Joint, value: float | None) -> None:
         joint.element.remove(part)
 
 
-def _placed(joint: Joint, value: float | None) -> pin.SE3:
+def _child_placement(joint: Joint, value: float | None) -> pin.SE3:
     """Placement of a joint's child at a value; None for 0.
 
     In the frame of its parent.

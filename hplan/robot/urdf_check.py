@@ -70,7 +70,7 @@ def check_models(path: Path, urdf: Urdf, model: pin.Model, collision_model: pin.
         what = "the inertia of its moving bodies" if number else "the inertia of the fixed bodies"
         owner = last[number]
         name = f"joint {model.names[number]!r}" if owner is None or number else f"link {owner.name!r}"
-        check.same(None if owner is None else owner.element, name, what, found, inertia)
+        check.check_same(None if owner is None else owner.element, name, what, found, inertia)
 
 
 def _placed_links(check: _Check, urdf: Urdf) -> Iterator[tuple[Link, int, pin.SE3]]:
@@ -99,7 +99,7 @@ class _Check:
         self._path = path
         self._model = model
 
-    def same(self, element: ET.Element | None, name: str, what: str, found: ArrayLike, said: ArrayLike) -> None:
+    def check_same(self, element: ET.Element | None, name: str, what: str, found: ArrayLike, said: ArrayLike) -> None:
         """Check that two readings of a number agree.
 
         Raises:
@@ -117,8 +117,8 @@ class _Check:
         if not model.existJointName(joint.name):
             raise self._fault(joint.element, f"{name}: Pinocchio reads no joint with that name")
         number = int(model.getJointId(joint.name))
-        self.same(joint.element, name, "its carrier", model.parents[number], carrier)
-        self.same(
+        self.check_same(joint.element, name, "its carrier", model.parents[number], carrier)
+        self.check_same(
             joint.element, name, "its placement", model.jointPlacements[number].homogeneous, placement.homogeneous
         )
         if joint.kind not in ("revolute", "continuous", "prismatic"):
@@ -130,7 +130,7 @@ class _Check:
             limits |= {"lower": model.lowerPositionLimit[moved.idx_q], "upper": model.upperPositionLimit[moved.idx_q]}
         for key, value in limits.items():
             if key in joint.limits or joint.kind != "continuous":
-                self.same(joint.element, name, f"its {key} limit", value, joint.limits.get(key, 0.0))
+                self.check_same(joint.element, name, f"its {key} limit", value, joint.limits.get(key, 0.0))
         return number
 
     def _axis(self, joint: Joint, name: str, number: int) -> None:
@@ -143,7 +143,7 @@ class _Check:
         moved.calc(data, pin.neutral(self._model)[moved.idx_q : moved.idx_q + moved.nq])
         motion = np.ravel(data.S)
         rows = slice(0, 3) if joint.kind == "prismatic" else slice(3, 6)
-        self.same(joint.element, name, "its axis", motion[rows], joint.axis / length)
+        self.check_same(joint.element, name, "its axis", motion[rows], joint.axis / length)
 
     def link(self, link: Link, carrier: int, placement: pin.SE3) -> None:
         """Compare the placement of a link."""
@@ -151,8 +151,8 @@ class _Check:
         if not model.existBodyName(link.name):
             raise self._fault(link.element, f"{name}: Pinocchio reads no link with that name")
         frame = model.frames[model.getBodyId(link.name)]
-        self.same(link.element, name, "its carrier", frame.parentJoint, carrier)
-        self.same(link.element, name, "its place", frame.placement.homogeneous, placement.homogeneous)
+        self.check_same(link.element, name, "its carrier", frame.parentJoint, carrier)
+        self.check_same(link.element, name, "its place", frame.placement.homogeneous, placement.homogeneous)
 
     def shape(
         self, link: Link, shape: CollisionShape, found: pin.GeometryObject | None, carrier: int, placement: pin.SE3
@@ -164,9 +164,9 @@ class _Check:
         kind, size = _kind_and_size(found)
         if kind != shape.kind:
             raise self._fault(shape.element, f"{name}: Pinocchio reads a {kind}, the file says {shape.kind}")
-        self.same(shape.element, name, f"the size of its {kind}", size, shape.size)
-        self.same(shape.element, name, f"the carrier of its {kind}", found.parentJoint, carrier)
-        self.same(
+        self.check_same(shape.element, name, f"the size of its {kind}", size, shape.size)
+        self.check_same(shape.element, name, f"the carrier of its {kind}", found.parentJoint, carrier)
+        self.check_same(
             shape.element, name, f"the placement of its {kind}", found.placement.homogeneous, placement.homogeneous
         )
 

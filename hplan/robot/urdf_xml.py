@@ -61,7 +61,7 @@ def read_urdf_xml(
         content = text.lstrip().encode("utf-8", "surrogatepass")
     if len(content) > _MOST_BYTES:
         raise RobotFileError(path, f"it has more than {_MOST_BYTES:,} bytes")
-    root = _parsed(path, content)
+    root = _parse(path, content)
     if root.tag != "robot":
         raise RobotFileError(path, f"the root element is <{root.tag}>, expected <robot>")
     return root
@@ -89,10 +89,10 @@ def _content(path: Path, package_dirs: Sequence[Path], xacro_args: Mapping[str, 
         raise RobotFileError(path, reason) from error
     except ValueError as error:
         raise RobotFileError(path, str(error)) from error
-    return _expanded(path, package_dirs, xacro_args).encode("utf-8") if path.suffix == ".xacro" else content
+    return _expand_xacro(path, package_dirs, xacro_args).encode("utf-8") if path.suffix == ".xacro" else content
 
 
-def _expanded(path: Path, package_dirs: Sequence[Path], xacro_args: Mapping[str, str]) -> str:
+def _expand_xacro(path: Path, package_dirs: Sequence[Path], xacro_args: Mapping[str, str]) -> str:
     """Expand a xacro file to URDF text; package paths are resolved later.
 
     Packages are looked for in the given folders, around the file, and where ROS has them.
@@ -170,7 +170,7 @@ def line_of(element: ET.Element) -> str:
     return f"line {line}: " if line else ""
 
 
-def _parsed(path: Path, content: bytes) -> ET.Element:
+def _parse(path: Path, content: bytes) -> ET.Element:
     parser = expat.ParserCreate()
     parser.buffer_text = True
     declared = ["utf-16"] if content.startswith((b"\xff\xfe", b"\xfe\xff")) else ["utf-8"]

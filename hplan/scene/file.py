@@ -16,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import to_jsonable_python
 
 from hplan.base.arguments import file_path, instance
-from hplan.base.checked import StrictModel, dotted, plain_message, validated, worst_fault
+from hplan.base.checked import StrictModel, format_key_path, plain_message, validate_part, worst_fault
 from hplan.base.data_files import shipped_scene, shipped_scenes
 from hplan.base.files import YAML_COMMENT, ByteBudget, cut, is_file, write_marked
 from hplan.base.yaml_text import read_yaml, write_yaml
@@ -124,7 +124,7 @@ def parse_model(kind: type[_Model], text: str, path: Path | None) -> _Model:
         raise SceneError("it has several robots: read it with load_cell", path=path, where="robots")
     try:
         folder = Path() if path is None else path.parent
-        return validated(kind, content, {"folder": folder, "budget": ByteBudget(MOST_SHAPE_BYTES)})
+        return validate_part(kind, content, {"folder": folder, "budget": ByteBudget(MOST_SHAPE_BYTES)})
     except ValidationError as error:
         first = worst_fault(error)
         below = ("kind",) if first["type"] == "union_tag_invalid" else first.get("ctx", {}).get("below", ())
@@ -132,7 +132,7 @@ def parse_model(kind: type[_Model], text: str, path: Path | None) -> _Model:
         raise kind.error(
             plain_message(first, _WORDS),
             path=path,
-            where=dotted(steps),
+            where=format_key_path(steps),
             line=_line_of(node, steps),
             value=None if isinstance(first["input"], dict) else first["input"],
         ) from error
@@ -159,16 +159,16 @@ def dump_scene(scene: Scene) -> str:
             raise SceneError(reason, where=f"obstacles[{index}].file")
     content: dict[str, Any] = {"format": scene.format, "name": scene.name}
     content |= {} if scene.robot is None else {"robot": scene.robot}
-    content |= _dumped(scene, exclude={"start", "goal", "obstacles", "fruits"})
-    content |= {"start": _dumped(scene.start), "goal": _dumped(scene.goal)}
+    content |= _dump(scene, exclude={"start", "goal", "obstacles", "fruits"})
+    content |= {"start": _dump(scene.start), "goal": _dump(scene.goal)}
     for key, items in (("obstacles", scene.obstacles), ("fruits", scene.fruits)):
         content[key] = [
-            _dumped(item, exclude={"sigma"} if item.sigma == 0.0 or item.covariance else None) for item in items
+            _dump(item, exclude={"sigma"} if item.sigma == 0.0 or item.covariance else None) for item in items
         ]
     return write_yaml(content)
 
 
-def _dumped(part: BaseModel, exclude: set[str] | None = None) -> dict[str, Any]:
+def _dump(part: BaseModel, exclude: set[str] | None = None) -> dict[str, Any]:
     """Dump a part of a scene as in a file.
 
     Fields that pydantic excludes from dumps, for digests, are added if they are given.

@@ -33,7 +33,7 @@ from hplan.scene.obstacle_kind import (
     Sigma,
     TrackField,
     largest_deviation,
-    moved,
+    transform_fields,
     turned_covariance,
 )
 from hplan.scene.obstacles import AnyObstacle, Obstacle, Solid, Sphere
@@ -46,7 +46,7 @@ FORMAT: Final = "hplan-scene/1"
 QUATERNION_LENGTH: Final = 1e-3
 
 
-def _listed(names: Any) -> Any:
+def _to_tuple(names: Any) -> Any:
     """Convert a single name to a tuple."""
     return (names,) if isinstance(names, str) else names
 
@@ -75,7 +75,7 @@ class Fruit(Item):
     center: Vector
     radius: Size
     sigma: Sigma = 0.0
-    hangs_from: Annotated[tuple[Name, ...], BeforeValidator(_listed), Field(exclude=True)] = ()
+    hangs_from: Annotated[tuple[Name, ...], BeforeValidator(_to_tuple), Field(exclude=True)] = ()
 
 
 class JointValues(StrictModel):
@@ -261,7 +261,7 @@ class Scene(StrictModel):
         >>> scene = Scene(name="post", start=start, goal=goal, obstacles=(post,), clearance=0.01)
         >>> len(scene.solids), scene.moves
         (1, False)
-        >>> scene.with_(clearance=0.02).clearance
+        >>> scene.with_values(clearance=0.02).clearance
         0.02
     """
 
@@ -394,9 +394,9 @@ class Scene(StrictModel):
 
         Those without a track share one movement.
         """
-        still = None if self.base_track is None else Movement.of(None, self.base_track)
+        still = None if self.base_track is None else Movement.relative_to(None, self.base_track)
         for item in (*self.obstacles, *self.fruits):
-            yield item, still if item.track is None else Movement.of(item.track, self.base_track)
+            yield item, still if item.track is None else Movement.relative_to(item.track, self.base_track)
 
     @property
     def at_rest_s(self) -> float:
@@ -426,24 +426,26 @@ class Scene(StrictModel):
             >>> rotations, shifts = scene.poses_at([1.0])["cart"]
             >>> shifts.tolist()
             [[0.0, 0.5, 0.0]]
-            >>> scene.at(1.0).obstacles[0].center
+            >>> scene.snapshot(1.0).obstacles[0].center
             (1.0, 0.5, 0.0)
         """
         clock = numbers("times_s", times_s, (None,))
         listed = self._listed_movements()
-        return {item.name: movement.at(clock) for item, movement in listed if movement is not None}
+        return {item.name: movement.displacement_at(clock) for item, movement in listed if movement is not None}
 
-    def at(self, time_s: float) -> Scene:
+    def snapshot(self, time_s: float) -> Scene:
         """Static snapshot of the scene at a time [s].
 
         Raises:
             InputError: `time_s` is not a finite number.
         """
         poses = {name: (turns[0], shifts[0]) for name, (turns, shifts) in self.poses_at([time_s]).items()}
-        changed = self._each(lambda item: moved(item, *poses[item.name]) if item.name in poses else {})
+        changed = self._change_each(
+            lambda item: transform_fields(item, *poses[item.name]) if item.name in poses else {}
+        )
         return self.copy_unchecked(changed | {"base_track": None})
 
-    def since(self, time_s: float) -> Scene:
+    def starting_at(self, time_s: float) -> Scene:
         """Scene whose tracks count time from `time_s` on [s].
 
         The new scene at time `t - time_s` equals this scene at time t, also for negative times. So a motion that starts
@@ -455,11 +457,11 @@ class Scene(StrictModel):
         number("time_s", time_s, "a finite number of seconds")
         if time_s == 0.0 or not self.moves:
             return self
-        changed = self._each(lambda item: {} if item.track is None else {"track": item.track.since(time_s)})
-        base_track = None if self.base_track is None else self.base_track.since(time_s)
+        changed = self._change_each(lambda item: {} if item.track is None else {"track": item.track.since(time_s)})
+        base_track = None if self.base_track is None else self.base_track.starting_at(time_s)
         return self.copy_unchecked(changed | {"base_track": base_track})
 
-    def _each(self, changes: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+    def _change_each(self, changes: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
         """Return obstacles and fruits with changed values."""
         found: dict[str, Any] = {}
         for key in ("obstacles", "fruits"):
@@ -467,7 +469,7 @@ class Scene(StrictModel):
             found[key] = tuple(item.copy_unchecked(update) if update else item for item, update in pairs)
         return found
 
-    def shifted(self, shift: ArrayLike, yaw_deg: float = 0.0) -> Scene:
+    def shift(self, shift: ArrayLike, yaw_deg: float = 0.0) -> Scene:
         """Rotate the scene about the base's z axis, then shift it.
 
         It is the scene as seen from a base at another place. Obstacles, fruits and a position or pose goal are
@@ -487,7 +489,7 @@ class Scene(StrictModel):
             >>> ball = Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1)
             >>> start, goal = Start(joints_deg=(0.0, 90.0, 90.0, 90.0)), Goal(position=(1.0, 0.0, 1.5))
             >>> scene = Scene(name="ball", start=start, goal=goal, obstacles=(ball,))
-            >>> shifted = scene.shifted((0.0, 0.5, 0.0))
+            >>> shifted = scene.shift((0.0, 0.5, 0.0))
             >>> shifted.obstacles[0].center, shifted.goal.position
             ((1.0, 0.5, 1.0), (1.0, 0.5, 1.5))
         """
@@ -504,12 +506,12 @@ class Scene(StrictModel):
                 cos, sin = math.cos(0.5 * math.radians(yaw_deg)), math.sin(0.5 * math.radians(yaw_deg))
                 place["quaternion_xyzw"] = cos * x - sin * y, cos * y + sin * x, cos * z + sin * w, cos * w - sin * z
             goal = goal.copy_unchecked(place)
-        update = self._each(lambda item: moved(item, turn, by)) | {"goal": goal}
+        update = self._change_each(lambda item: transform_fields(item, turn, by)) | {"goal": goal}
         if self.covariance is not None:
             update["covariance"] = turned_covariance(self.covariance, turn)
         return self.copy_unchecked(update)
 
-    def cropped(self, reach: float, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Scene:
+    def crop(self, reach: float, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Scene:
         """Remove static obstacles and fruits farther than `reach` from a point.
 
         Moving obstacles and the goal fruit stay. An obstacle's distance is measured to its bounding ball. A certificate
@@ -528,7 +530,7 @@ class Scene(StrictModel):
             >>> balls = [Sphere(name=f"ball {x}", center=(x, 0.0, 1.0), radius=0.1) for x in (1.0, 9.0)]
             >>> rest = (0.0, 90.0, 90.0, 90.0)
             >>> scene = Scene(name="balls", start=Start(joints_deg=rest), goal=Goal(joints_deg=rest), obstacles=balls)
-            >>> [obstacle.name for obstacle in scene.cropped(3.0).obstacles]
+            >>> [obstacle.name for obstacle in scene.crop(3.0).obstacles]
             ['ball 1.0']
         """
         point = numbers("centre", centre, (3,))
@@ -536,7 +538,7 @@ class Scene(StrictModel):
         obstacles = tuple(
             item
             for item in self.obstacles
-            if item.track is not None or any(_apart(solid, point) <= reach for solid in item.solids)
+            if item.track is not None or any(_ball_distance(solid, point) <= reach for solid in item.solids)
         )
         fruits = tuple(
             fruit
@@ -599,7 +601,7 @@ def hanging_from(obstacles: Iterable[Obstacle], fruits: Iterable[Fruit]) -> tupl
     )
 
 
-def _apart(solid: Solid, point: FloatArray) -> float:
+def _ball_distance(solid: Solid, point: FloatArray) -> float:
     """Distance of a point from the bounding ball of a solid [m]."""
     middle = 0.5 * (solid.core.min(axis=0) + solid.core.max(axis=0))
     size = float(np.linalg.norm(solid.core - middle, axis=1).max()) + solid.rounding

@@ -26,7 +26,7 @@ from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 from hplan.base.arrays import FloatArray, IntArray, frozen, readonly
 from hplan.base.checked import StrictModel, fault
 from hplan.geometry.cloud import Cloud
-from hplan.geometry.hull import Hull, hull_of, thickening, whole_hull
+from hplan.geometry.hull import Hull, hull_of, thickening_shifts, whole_hull
 from hplan.geometry.rotation import rpy_of, rpy_rotation
 from hplan.scene.limits import FARTHEST_M, MOST_POINTS, Angles, Vector
 from hplan.scene.tracks import Sway, Track
@@ -257,7 +257,7 @@ def swept(solid: Solid, reach: FloatArray) -> Solid:
 def _swept_core(solid: Convex | Hull, reach: FloatArray) -> Hull:
     """Hull of the swept core, with the rounding of the core."""
     core = np.concatenate([solid.core - reach, solid.core + reach])
-    points = (core + thickening(core)[:, None]).reshape(-1, 3)
+    points = (core + thickening_shifts(core)[:, None]).reshape(-1, 3)
     hull = hull_of(points, solid.name)
     return replace(hull, rounding=hull.rounding + solid.rounding, sigma=solid.sigma, yields=solid.yields)
 
@@ -270,7 +270,7 @@ def _swept_cloud(cloud: Cloud, reach: FloatArray) -> Cloud:
     shifts = np.linspace(-1.0, 1.0, copies)[:, None] * reach
     grown = math.hypot(radius, 0.5 * length / (copies - 1))
     points = (cloud.core + shifts[:, None]).reshape(-1, 3)
-    return replace(Cloud.of(cloud.name, points, grown, cloud.sigma), yields=cloud.yields)
+    return replace(Cloud.from_points(cloud.name, points, grown, cloud.sigma), yields=cloud.yields)
 
 
 def growths(solids: Sequence[Solid], sigmas: Sigmas) -> FloatArray:
@@ -280,7 +280,7 @@ def growths(solids: Sequence[Solid], sigmas: Sigmas) -> FloatArray:
     return np.array([sigmas * solid.sigma for solid in solids], dtype=np.float64)
 
 
-def posed(solid: Solid, rotation: FloatArray, shift: FloatArray) -> Solid:
+def transform_solid(solid: Solid, rotation: FloatArray, shift: FloatArray) -> Solid:
     """Transform a solid.
 
     Each point x moves to `rotation @ x + shift`.
@@ -291,16 +291,16 @@ def posed(solid: Solid, rotation: FloatArray, shift: FloatArray) -> Solid:
         shift: (3,) shift [m].
     """
     if not isinstance(solid, Hull | Cloud):
-        return solid.copy_unchecked(moved(solid, rotation, shift))
+        return solid.copy_unchecked(transform_fields(solid, rotation, shift))
     if isinstance(solid, Hull):
-        return solid.placed(rotation, shift)
+        return solid.transform(rotation, shift)
     tree = solid.tree.copy()
     tree[:, 3:6] = tree[:, 3:6] @ rotation.T + shift
     core = np.ascontiguousarray(solid.core @ rotation.T + shift)
     return replace(solid, core=frozen(core), tree=frozen(tree))
 
 
-def moved(item: Any, rotation: FloatArray, shift: FloatArray) -> dict[str, Any]:
+def transform_fields(item: Any, rotation: FloatArray, shift: FloatArray) -> dict[str, Any]:
     """Return the changed fields of a transformed obstacle or fruit.
 
     Each point x moves to `rotation @ x + shift`. The result has no track.

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field, PositiveFloat, ValidationError, ValidationInfo, model_validator
 
 from hplan.base.arrays import FloatArray, IntArray, readonly
-from hplan.base.checked import fault, scene_error, validated
+from hplan.base.checked import fault, scene_error, validate_part
 from hplan.base.files import ByteBudget
 from hplan.errors import SceneError
 from hplan.geometry.cloud import Cloud
@@ -202,7 +202,7 @@ def _box_corners(center: Vector, size: Vector, rpy_deg: Vector) -> FloatArray:
 
 
 class Mesh(FromData):
-    """The solid inside a closed surface, from a file or arrays (`Mesh.of`).
+    """The solid inside a closed surface, from a file or arrays (`Mesh.from_arrays`).
 
     The surface is scaled, then rotated by roll, pitch and yaw about the fixed axes x, y, z, then shifted.
     `track`, `sway`, `yields` and `covariance` are described in `hplan.scene.obstacle_kind.Item`.
@@ -220,7 +220,7 @@ class Mesh(FromData):
         >>> from hplan.scene import Mesh
         >>> corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
         >>> faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
-        >>> crate = Mesh.of("crate", corners, faces, position=(1.0, 0.0, 0.0), scale=0.5)
+        >>> crate = Mesh.from_arrays("crate", corners, faces, position=(1.0, 0.0, 0.0), scale=0.5)
         >>> len(crate.solids), crate.excess
         (1, 0.0)
     """
@@ -234,7 +234,7 @@ class Mesh(FromData):
     sigma: Sigma = 0.0
 
     @classmethod
-    def of(cls, name: str, vertices: ArrayLike, faces: ArrayLike, **placement: Any) -> Mesh:
+    def from_arrays(cls, name: str, vertices: ArrayLike, faces: ArrayLike, **placement: Any) -> Mesh:
         """Return a mesh from arrays.
 
         Args:
@@ -248,7 +248,7 @@ class Mesh(FromData):
         """
         from hplan.scene.shape_data import Surface
 
-        return _made_of(cls, name, lambda: Surface.of(vertices, faces), placement)
+        return _made_of(cls, name, lambda: Surface.from_arrays(vertices, faces), placement)
 
     @model_validator(mode="after")
     def _read(self, info: ValidationInfo) -> Mesh:
@@ -283,7 +283,7 @@ class Mesh(FromData):
     def solids(self) -> tuple[Solid, ...]:
         """Convex parts whose union contains the mesh."""
         key = (self.name, self.scale, self.position, self.rpy_deg, self.sigma, self.sway, self.yields)
-        hulls: tuple[Solid, ...] = self._data.cached(key, self._hulls)
+        hulls: tuple[Solid, ...] = self._data.cache(key, self._hulls)
         return hulls
 
     def _hulls(self) -> tuple[Solid, ...]:
@@ -308,7 +308,8 @@ class PointCloud(FromData):
 
     Examples:
         >>> from hplan.scene import PointCloud
-        >>> cloud = PointCloud.of("canopy", [(1.0, 0.0, 1.5), (1.0, 0.1, 1.5)], radius=0.02, position=(0.0, 0.0, 0.5))
+        >>> points = [(1.0, 0.0, 1.5), (1.0, 0.1, 1.5)]
+        >>> cloud = PointCloud.from_points("canopy", points, radius=0.02, position=(0.0, 0.0, 0.5))
         >>> cloud.points.tolist()
         [[1.0, 0.0, 2.0], [1.0, 0.1, 2.0]]
     """
@@ -322,7 +323,7 @@ class PointCloud(FromData):
     sigma: Sigma = 0.0
 
     @classmethod
-    def of(cls, name: str, points: ArrayLike, radius: float, **placement: Any) -> PointCloud:
+    def from_points(cls, name: str, points: ArrayLike, radius: float, **placement: Any) -> PointCloud:
         """Return a cloud from an array.
 
         Args:
@@ -336,10 +337,10 @@ class PointCloud(FromData):
         """
         from hplan.scene.shape_data import PointSet
 
-        return _made_of(cls, name, lambda: PointSet.of(points), {"radius": radius, **placement})
+        return _made_of(cls, name, lambda: PointSet.from_points(points), {"radius": radius, **placement})
 
     @classmethod
-    def thinned(cls, name: str, points: ArrayLike, radius: float, yields: float = 0.0) -> PointCloud:
+    def from_thinned(cls, name: str, points: ArrayLike, radius: float, yields: float = 0.0) -> PointCloud:
         """Return a cloud of (n, 3) already thinned points, without merging (`hplan.online`).
 
         Raises:
@@ -347,7 +348,9 @@ class PointCloud(FromData):
         """
         from hplan.scene.shape_data import PointSet
 
-        return _made_of(cls, name, lambda: PointSet.of(points, may_merge=False), {"radius": radius, "yields": yields})
+        return _made_of(
+            cls, name, lambda: PointSet.from_points(points, may_merge=False), {"radius": radius, "yields": yields}
+        )
 
     @property
     def left_out(self) -> int:
@@ -375,11 +378,11 @@ class PointCloud(FromData):
     def solids(self) -> tuple[Solid, ...]:
         """One cloud of balls."""
         key = (self.name, self.radius, self.position, self.rpy_deg, self.sigma, self.sway, self.yields)
-        cloud: Solid = self._data.cached(key, self._cloud)
+        cloud: Solid = self._data.cache(key, self._cloud)
         return (cloud,)
 
     def _cloud(self) -> Solid:
-        make = Cloud.of if self._data.may_merge else Cloud.unmerged
+        make = Cloud.from_points if self._data.may_merge else Cloud.from_all_points
         cloud = make(self.name, self.points, self.radius, self.sigma)
         return self._swept((replace(cloud, yields=self.yields),))[0]
 
@@ -388,7 +391,7 @@ def _made_of(cls: type[_Data], name: str, make: Callable[[], Surface | PointSet]
     """Make an obstacle from data in memory."""
     try:
         data = make()
-        return validated(cls, {"name": name, **fields}, {"data": data})
+        return validate_part(cls, {"name": name, **fields}, {"data": data})
     except ValidationError as error:
         raise scene_error(error) from error
     except ValueError as error:

@@ -44,7 +44,7 @@ class _Cached:
 
     __hash__ = None  # type: ignore[assignment]
 
-    def cached(self, key: Any, make: Callable[[], _T]) -> _T:
+    def cache(self, key: Any, make: Callable[[], _T]) -> _T:
         """Return the cached result of `make` for a key."""
         if key not in self._made:
             self._made[key] = make()
@@ -54,7 +54,7 @@ class _Cached:
     @property
     def digest(self) -> str:
         """SHA-256 of the arrays, as hexadecimal digits; cached."""
-        return self.cached("digest", self._sha256)
+        return self.cache("digest", self._sha256)
 
     def _sha256(self) -> str:
         found = hashlib.sha256()
@@ -83,7 +83,7 @@ class Surface(_Cached):
         return self.vertices, self.faces
 
     @classmethod
-    def of(cls, vertices: ArrayLike, faces: ArrayLike) -> Surface:
+    def from_arrays(cls, vertices: ArrayLike, faces: ArrayLike) -> Surface:
         """Return a surface of (n, 3) vertices and (m, 3) triangles.
 
         Coincident vertices are merged.
@@ -115,7 +115,7 @@ class Surface(_Cached):
 
     def pieces(self, scale: float) -> Pieces:
         """Convex parts whose union contains the solid, in metres; cached."""
-        return self.cached(scale, lambda: convex_pieces(self.vertices * scale, self.faces))
+        return self.cache(scale, lambda: convex_pieces(self.vertices * scale, self.faces))
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +139,7 @@ class PointSet(_Cached):
         return (self.points,)
 
     @classmethod
-    def of(cls, points: ArrayLike, *, left_out: int = 0, may_merge: bool = True) -> PointSet:
+    def from_points(cls, points: ArrayLike, *, left_out: int = 0, may_merge: bool = True) -> PointSet:
         """Return a set of (n, 3) points; arguments are the attributes.
 
         Raises:
@@ -163,7 +163,7 @@ def read_surface(path: Path, budget: ByteBudget) -> Surface:
     faces = getattr(loaded, "faces", None)
     if faces is None or len(faces) == 0:
         raise ValueError("the mesh is empty: it has no triangles")
-    return Surface.of(loaded.vertices, np.asarray(faces))
+    return Surface.from_arrays(loaded.vertices, np.asarray(faces))
 
 
 def read_points(path: Path, budget: ByteBudget) -> PointSet:
@@ -180,7 +180,7 @@ def read_points(path: Path, budget: ByteBudget) -> PointSet:
     finite = np.isfinite(points).all(axis=-1)
     if len(points) and not finite.any():
         raise ValueError(f"none of {len(points)} points is finite")
-    return PointSet.of(points[finite], left_out=len(points) - int(finite.sum()))
+    return PointSet.from_points(points[finite], left_out=len(points) - int(finite.sum()))
 
 
 def write_shape(data: Surface | PointSet, path: Path) -> Path:

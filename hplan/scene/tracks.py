@@ -94,12 +94,12 @@ class Track(StrictModel):
         A listed point x is at R x + s, with R the (3, 3) rotation and s the (3,) shift [m]. For the track of a base, a
         point at x relative to the base is listed at R x + s.
         """
-        poses = Poses.of(self)
-        rotations, places = poses.at(np.array([time_s]))
+        poses = Poses.from_track(self)
+        rotations, places = poses.poses_at(np.array([time_s]))
         shift: FloatArray = places[0] - rotations[0] @ poses.about
         return rotations[0], shift
 
-    def since(self, time_s: float) -> Track:
+    def starting_at(self, time_s: float) -> Track:
         """Return the track with its times counted from `time_s` on [s].
 
         Raises:
@@ -167,7 +167,7 @@ class Poses(Record):
     about: FloatArray
 
     @classmethod
-    def of(cls, track: Track | None) -> Poses:
+    def from_track(cls, track: Track | None) -> Poses:
         """Return the poses of a track; None for a static object."""
         if track is None:
             return cls(np.zeros(2), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)), np.zeros(3))
@@ -179,7 +179,7 @@ class Poses(Record):
         """(n - 1, 3) rotation vectors between successive rotations [rad]."""
         return frozen(rotation_vectors(self.rotations))
 
-    def at(self, clock: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def poses_at(self, clock: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return rotations and centres of rotation at times.
 
         Args:
@@ -226,16 +226,16 @@ class Movement(Record):
     base: Poses
 
     @classmethod
-    def of(cls, track: Track | None, base_track: Track | None) -> Movement:
+    def relative_to(cls, track: Track | None, base_track: Track | None) -> Movement:
         """Return the movement of a track relative to the base's track."""
-        return cls(Poses.of(track), Poses.of(base_track))
+        return cls(Poses.from_track(track), Poses.from_track(base_track))
 
     @cached_property
     def breaks(self) -> FloatArray:
         """(m,) times of possible speed changes; static before and after [s]."""
         return frozen(np.unique(np.concatenate([part.times for part in (self.own, self.base)])))
 
-    def at(self, clock: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def displacement_at(self, clock: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return rotations and shifts at times.
 
         A point x is at R x + s at each time.
@@ -246,8 +246,8 @@ class Movement(Record):
         Returns:
             (k, 3, 3) rotations R and (k, 3) shifts s [m].
         """
-        rotation, place = self.own.at(clock)
-        seen, pivot = self.base.at(clock)
+        rotation, place = self.own.poses_at(clock)
+        seen, pivot = self.base.poses_at(clock)
         back = np.swapaxes(seen, 1, 2)
         shift = place - rotation @ self.own.about - pivot
         return back @ rotation, (back @ shift[:, :, None])[:, :, 0] + self.base.about
@@ -273,8 +273,10 @@ class Movement(Record):
             if turning.any():
                 # The solid rotates about `about`, which moves linearly; no point of the solid is farther from it.
                 centre, radius = self.own.about, np.linalg.norm(core - self.own.about, axis=1).max() + rounding
-            offset = self.own.at(self.breaks)[0] @ (centre - self.own.about)
-            apart = np.linalg.norm(self.own.at(self.breaks)[1] + offset - self.base.at(self.breaks)[1], axis=1)
+            offset = self.own.poses_at(self.breaks)[0] @ (centre - self.own.about)
+            apart = np.linalg.norm(
+                self.own.poses_at(self.breaks)[1] + offset - self.base.poses_at(self.breaks)[1], axis=1
+            )
             rates = rates + base_turning * (np.maximum(apart[:-1], apart[1:]) + radius)
         return rates
 

@@ -32,13 +32,13 @@ Measure = Literal["reach", "tour", "row"]
 _SPECS: Final = {spec.name: spec for spec in (HARVESTER, ORCHARD_HARVESTER)}
 
 
-class _Part(StrictModel):
+class _StudyPart(StrictModel):
     """Base of a study's models; their errors are `StudyError`."""
 
     error: ClassVar[type[StudyError]] = StudyError
 
 
-class Arm(_Part):
+class Arm(_StudyPart):
     """An arm, or a family of arms with varied specification values.
 
     Attributes:
@@ -91,7 +91,7 @@ class Arm(_Part):
             yield ", ".join([called, *words]), replace(base, **chosen)
 
 
-class Yields(_Part):
+class Yields(_StudyPart):
     """Compliance: maximum deflection of thin wood and of fruit [m].
 
     Attributes:
@@ -105,7 +105,7 @@ class Yields(_Part):
     fruit: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
 
 
-class Study(_Part):
+class Study(_StudyPart):
     """A study: all combinations of arm, trees, base position and compliance.
 
     Attributes:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
 from hplan.base.csv_file import CsvFile
-from hplan.base.interrupts import uninterrupted
+from hplan.base.interrupts import defer_signals
 from hplan.errors import OutputError
 
 _Row = TypeVar("_Row")
@@ -93,7 +93,7 @@ def _append(file: BinaryIO, cells: Sequence[str]) -> None:
     """Append a row in one write and sync it to disk."""
     line = io.StringIO()
     csv.writer(line, lineterminator="\n").writerow(cells)
-    with uninterrupted():
+    with defer_signals():
         file.write(line.getvalue().encode())
         file.flush()
         os.fsync(file.fileno())

@@ -11,7 +11,7 @@ from typing import Any
 
 from hplan.base.arguments import file_path, instance
 from hplan.base.tasks import Pool, outcomes, pool_of
-from hplan.collision.reach import reach_ball
+from hplan.collision.reach import workspace_ball
 from hplan.errors import HplanError, TourError, WorkersLostError
 from hplan.planning.options import PlanOptions
 from hplan.study.definition import Design, Study, load_study
@@ -194,7 +194,7 @@ def measure(design: Design) -> StudyRow:
     robot, scene = design.robot, design.scene
     row = partial(
         StudyRow, design.digest, design.arm, design.tree, design.distance, design.height, design.turn_deg,
-        design.yields.wood, design.yields.below, design.yields.fruit, design.measure, float(reach_ball(robot)[3]),
+        design.yields.wood, design.yields.below, design.yields.fruit, design.measure, float(workspace_ball(robot)[3]),
         len(scene.fruits),
     )  # fmt: skip
     try:

@@ -1,7 +1,7 @@
 """Plans picking tours of several arms: fruit allocation, tours, schedule.
 
 A fruit that only one arm can pick is assigned to it; the others are allocated to minimize the time until all arms are
-done (`exchanged`). Each arm's tour is planned on its own, with the other arms as obstacles at their starts,
+done (`exchange_fruits`). Each arm's tour is planned on its own, with the other arms as obstacles at their starts,
 and with all fruits of other arms as obstacles. A fruit without a motion is reassigned to another arm that can pick it.
 The motions found improve the cost estimates of the next allocation. Tours run forward or reversed, with waits at rests,
 so that all of them finish as early as possible.
@@ -31,11 +31,19 @@ from hplan.planning.options import PlanOptions
 from hplan.planning.reachable import reachable
 from hplan.planning.stages import Progress, no_progress
 from hplan.planning.world import World
-from hplan.tour.motions import carrying
-from hplan.tour.ordering import Costs, along, best
+from hplan.tour.motions import with_carried_fruit
+from hplan.tour.ordering import Costs, best, order_grasps
 from hplan.tour.tour import TourOptions, TourPlanner, TourResult
 from hplan.trajectory.trajectory import Phase, Trajectory
-from hplan.workcell.cell import Cell, CellArm, between, certify_between, check_options, may_touch_report, standing
+from hplan.workcell.cell import (
+    Cell,
+    CellArm,
+    certify_between,
+    check_options,
+    distances_between,
+    iterate_standing,
+    may_touch_report,
+)
 from hplan.workcell.timetable import SPARES, Timetable
 
 #: Proximity of an arm at a fruit to another arm at another fruit: 0 if far, 1 for contact.
@@ -83,17 +91,17 @@ class Share:
             gains[fruit] = self.seconds - min(map(self._seconds, others))
         return gains
 
-    def over(self, fruits: Collection[str]) -> Share:
+    def select(self, fruits: Collection[str]) -> Share:
         """Allocation of other fruits, in their optimal order."""
         order = [fruit for fruit in dict.fromkeys((*self.order, *self.grasps)) if fruit in fruits]
         if order:
-            costs = self.costs.over([self.numbers[fruit] for fruit in order])
+            costs = self.costs.select([self.numbers[fruit] for fruit in order])
             places = best(costs, np.arange(len(order)), kicked=False).places
             order = [order[number] for number in costs.fruit_of[places].tolist()]
         return replace(self, order=tuple(order))
 
     def _seconds(self, order: Sequence[str]) -> float:
-        return self.more_s + along(self.costs, [self.numbers[fruit] for fruit in order]).cost
+        return self.more_s + order_grasps(self.costs, [self.numbers[fruit] for fruit in order]).cost
 
 
 def nearness(cell: Cell, shares: Mapping[str, Share]) -> Nearness:
@@ -105,7 +113,7 @@ def nearness(cell: Cell, shares: Mapping[str, Share]) -> Nearness:
         pairs = itertools.product(shares[a].grasps.items(), shares[b].grasps.items())
         for (f, ours), (g, theirs) in pairs:
             q = cell.configuration({a: np.repeat(ours, len(theirs), axis=0), b: np.tile(theirs, (len(ours), 1))})
-            found[a, f, b, g] = float(np.clip(1.0 - between(cell, q, a, [b]) / far, 0.0, 1.0).mean())
+            found[a, f, b, g] = float(np.clip(1.0 - distances_between(cell, q, a, [b]) / far, 0.0, 1.0).mean())
     return found
 
 
@@ -136,7 +144,7 @@ def first_share(cell: Cell, able: Mapping[str, Sequence[str]], lowest: Sequence[
     return shares
 
 
-def exchanged(shares: Mapping[str, Share], near: Nearness, weight: float) -> dict[str, Share]:
+def exchange_fruits(shares: Mapping[str, Share], near: Nearness, weight: float) -> dict[str, Share]:
     """Improve an allocation by moving or exchanging fruits between arms.
 
     Args:
@@ -175,7 +183,7 @@ def exchanged(shares: Mapping[str, Share], near: Nearness, weight: float) -> dic
         return ends({n: share.seconds for n, share in shares.items()}, {n: share.order for n, share in shares.items()})
 
     def changed(change: Mapping[str, Collection[str]]) -> dict[str, Share]:
-        return found | {name: found[name].over(fruits) for name, fruits in change.items()}
+        return found | {name: found[name].select(fruits) for name, fruits in change.items()}
 
     while True:
         now = end(found)
@@ -186,9 +194,9 @@ def exchanged(shares: Mapping[str, Share], near: Nearness, weight: float) -> dic
         found = better
 
 
-#: An arm is at rest below this speed [rad/s, m/s]; times closer than `_SAME_S` are equal [s].
+#: An arm is at rest below this speed [rad/s, m/s]; times closer than `_EQUAL_STATIONS_S` are equal [s].
 _AT_REST: Final = 1e-9
-_SAME_S: Final = 1e-6
+_EQUAL_STATIONS_S: Final = 1e-6
 
 #: Tour of each arm, and the reason for each fruit that is in no tour.
 _Shared: TypeAlias = tuple[dict[str, TourResult], dict[str, HplanError]]
@@ -232,7 +240,7 @@ class CellTour(Record, InNotebook):
     @property
     def trajectories(self) -> dict[str, Trajectory]:
         """Trajectory of each arm, by name, on one clock."""
-        return self.cell.apart(self.trajectory)
+        return self.cell.split_motion(self.trajectory)
 
     @property
     def report(self) -> dict[str, Any]:
@@ -283,27 +291,27 @@ def plan_cell_tour(
     check_options(options, "tours of several arms")
     with time_limit(options.deadline_s, cancel) as limit:
         try:
-            return _planned(cell, replace(options, deadline_s=None), progress)
+            return _plan_cell_tour(cell, replace(options, deadline_s=None), progress)
         except TimeIsUpError:
             raise limit.error(["tours of all arms"]) from None
 
 
-def _planned(cell: Cell, options: PlanOptions, progress: Progress) -> CellTour:
+def _plan_cell_tour(cell: Cell, options: PlanOptions, progress: Progress) -> CellTour:
     carry = [arm.tool_frame for arm in cell.arms if arm.drop_off is not None]
     thickest = max((fruit.radius for fruit in cell.scene.fruits), default=0.0)
     # An arm that carries fruit at any time keeps clearance for it at all times.
-    cell = replace(cell, robot=carrying(cell.robot, thickest, carry)) if carry and thickest else cell
-    World.of(cell.robot, (), clearance=cell.scene.clearance).check_clear(cell.configuration({}), "start")
+    cell = replace(cell, robot=with_carried_fruit(cell.robot, thickest, carry)) if carry and thickest else cell
+    World.build(cell.robot, (), clearance=cell.scene.clearance).check_clear(cell.configuration({}), "start")
     apart = replace(cell, arms=tuple(_among_others(cell, arm) for arm in cell.arms))
     progress("reachability of the fruits")
-    able, reasons = _able(apart, options)
+    able, reasons = _find_able_arms(apart, options)
     mine = {arm.name: [fruit for fruit in able if arm.name in able[fruit]] for arm in apart.arms}
     pickers = {arm.name: _Picker(arm, options, mine[arm.name]) for arm in apart.arms if mine[arm.name]}
     if not pickers:
         raise TourError(list(reasons.items()))
     why = "even one after the other, they come too close to each other"
     for spare in SPARES[1:]:
-        schedule = _soonest(cell, options, spare, pickers, able, reasons, progress)
+        schedule = _best_schedule(cell, options, spare, pickers, able, reasons, progress)
         if schedule is None:
             break
         found = schedule.result(cell, options)
@@ -327,11 +335,11 @@ def _among_others(cell: Cell, arm: CellArm) -> CellArm:
 
     They are thicker than the clearance that samples of a timetable must keep.
     """
-    others = standing(cell, arm.name, SPARES[1] + 5e-4)
+    others = iterate_standing(cell, arm.name, SPARES[1] + 5e-4)
     return replace(arm, scene=arm.scene.with_obstacles([*arm.scene.obstacles, *others]))
 
 
-def _able(cell: Cell, options: PlanOptions) -> tuple[dict[str, list[str]], dict[str, HplanError]]:
+def _find_able_arms(cell: Cell, options: PlanOptions) -> tuple[dict[str, list[str]], dict[str, HplanError]]:
     """Arms that can pick each fruit, and reasons for the others.
 
     The nearest arm comes first.
@@ -382,9 +390,9 @@ class _Picker:
         share = replace(share, order=tuple(fruit for fruit in tour.order if fruit in share.grasps))
         return replace(share, more_s=tour.duration - share.seconds)
 
-    def reversed(self, tour: TourResult) -> TourResult | None:
+    def reverse(self, tour: TourResult) -> TourResult | None:
         """The reversed tour; None if it is not known to be valid."""
-        return self._planner.reversed(tour)
+        return self._planner.reverse(tour)
 
     def tour(self, fruits: Sequence[str]) -> TourResult:
         """Plan the tour through some fruits and back.
@@ -444,7 +452,7 @@ def _tours(
     return tours
 
 
-def _soonest(
+def _best_schedule(
     cell: Cell, options: PlanOptions, spare: float, pickers: Mapping[str, _Picker], able: Mapping[str, Sequence[str]],
     reasons: Mapping[str, HplanError], progress: Progress,
 ) -> _Schedule | None:  # fmt: skip
@@ -460,7 +468,7 @@ def _soonest(
     tried, most = list[dict[str, set[str]]](), 8  # maximum number of allocations planned from each initial one
     for lowest in ((),) if options.effort == "quick" else ((), names, names[::-1]):
         weight, kept, first = 1.0, dict[str, TourResult](), first_share(cell, known, lowest)
-        shares = exchanged({name: every[name].over(first[name]) for name in names}, near, weight)
+        shares = exchange_fruits({name: every[name].select(first[name]) for name in names}, near, weight)
         for _ in range(most):
             fruits = {name: set(share.order) for name, share in shares.items()}
             waits = fruits in tried  # planning the same allocation again would give the same tours
@@ -472,18 +480,18 @@ def _soonest(
                 if not tours:
                     raise TourError(list(without.items()))
                 progress("together")
-                found = _together(cell, options, spare, pickers, (tours, without), soonest)
+                found = _schedule_tours(cell, options, spare, pickers, (tours, without), soonest)
                 kept, soonest = tours if found or not kept else kept, found or soonest
                 waits = found is None or found.ends[1] > 1.01 * _at_best((tours, without))[1]
             # The less the arms wait, the less the next allocation avoids fruits close to another arm's.
             weight *= 1.5 if waits else 0.7
             if kept:
                 shares = {name: picker.share(kept.get(name)) for name, picker in pickers.items()}
-            shares = exchanged(shares, near, weight)
+            shares = exchange_fruits(shares, near, weight)
     return soonest
 
 
-def _together(
+def _schedule_tours(
     cell: Cell, options: PlanOptions, spare: float, pickers: Mapping[str, _Picker], shared: _Shared,
     sooner: _Schedule | None,
 ) -> _Schedule | None:  # fmt: skip
@@ -494,14 +502,14 @@ def _together(
     found, (tours, reasons), distances = None, shared, dict[tuple[str, str], FloatArray]()
     if sooner is not None and _at_best(shared) >= sooner.ends:
         return None
-    both = [(None, pickers[name].reversed(tour)) for name, tour in tours.items()]
+    both = [(None, pickers[name].reverse(tour)) for name, tour in tours.items()]
     # With more than two arms, only some of the combinations of reversed tours are tried.
     for choice in itertools.islice(itertools.product(*both), 4):
         backward = {name: tour for name, tour in zip(tours, choice, strict=True) if tour is not None}
         missed, before_s = (math.inf, math.inf) if sooner is None else sooner.ends
         if _at_best(shared) < (missed, before_s):
             chosen, table = {**tours, **backward}, Timetable(cell, options, spare)
-            motions = {name: [part.motion for part in _parts(tour)] for name, tour in chosen.items()}
+            motions = {name: [part.motion for part in _split_at_rest(tour)] for name, tour in chosen.items()}
             limit_s = math.inf if len(reasons) < missed else before_s
             if table.run_together(motions, limit_s, distances, list(backward)):
                 found = sooner = _Schedule(table, chosen, reasons)
@@ -515,12 +523,12 @@ class _Part(NamedTuple):
     motion: Trajectory
 
 
-def _parts(tour: TourResult) -> list[_Part]:
+def _split_at_rest(tour: TourResult) -> list[_Part]:
     """Split a tour wherever the arm is at rest."""
     rows = tour.trajectory.rows
     rests = [row for row in range(len(rows.time)) if not np.abs(rows.velocity[row]).max() > _AT_REST]
     spans = itertools.pairwise(rests)
-    return [_Part(float(rows.time[a]), tour.trajectory.until(b).since(a)) for a, b in spans]
+    return [_Part(float(rows.time[a]), tour.trajectory.cut_after(b).cut_before(a)) for a, b in spans]
 
 
 class _Schedule(NamedTuple):
@@ -545,17 +553,19 @@ class _Schedule(NamedTuple):
         """Combine the tours on one clock; certify arms against each other."""
         phases, picked, dropped = dict[str, list[Phase]](), dict[str, float](), dict[str, float]()
         for name, tour in self.tours.items():
-            for part, (begin, motion) in zip(_parts(tour), self.table.legs[name], strict=True):
+            for part, (begin, motion) in zip(_split_at_rest(tour), self.table.legs[name], strict=True):
                 later, end = begin - part.begin_s, part.begin_s + motion.duration
                 for found, times in ((picked, tour.picked), (dropped, tour.dropped)):
-                    found |= {fruit: t + later for fruit, t in times.items() if part.begin_s < t - _SAME_S < end}
+                    found |= {
+                        fruit: t + later for fruit, t in times.items() if part.begin_s < t - _EQUAL_STATIONS_S < end
+                    }
                 inside = (each for each in tour.phases if part.begin_s < 0.5 * (each.start_s + each.end_s) < end)
-                phases.setdefault(name, []).extend(phase.later(later) for phase in inside)
-        whole = cell.together(self.table.motions)
+                phases.setdefault(name, []).extend(phase.delay(later) for phase in inside)
+        whole = cell.join_motions(self.table.motions)
         return CellTour(
             cell,
             whole,
-            certify_between(cell, cell.apart(whole), options),
+            certify_between(cell, cell.split_motion(whole), options),
             {name: (tour,) for name, tour in self.tours.items()},
             {name: tuple(own) for name, own in phases.items()},
             picked,

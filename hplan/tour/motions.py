@@ -14,7 +14,7 @@ Once the tour is found, motions are blended: the arm does not stop at stand-offs
 optimized with durations that include the stops.
 
 Carried fruit is part of the arm's collision geometry from the stand-off before a fruit to the drop-off, with the size
-of the largest fruit (`carrying`). The motions of the empty arm are planned without it.
+of the largest fruit (`with_carried_fruit`). The motions of the empty arm are planned without it.
 """
 
 from __future__ import annotations
@@ -35,25 +35,25 @@ from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, readonly
 from hplan.collision.collision_bodies import reuse_bodies
 from hplan.errors import HplanError, UnreachableError
-from hplan.planning.approach import Approach, blended, retreat_of
+from hplan.planning.approach import Approach, blend, retreat_of
 from hplan.planning.failures import NO_MOTION
 from hplan.planning.grasps import Grasp, Target, grasps
 from hplan.planning.motion import Motion, Transit, best_of, seconds
 from hplan.planning.plans import plans_to_grasps
 from hplan.planning.pose_goal import configurations_at
-from hplan.planning.problem import Problem, merged
+from hplan.planning.problem import Problem, merge_problems
 from hplan.planning.solver import best_motion
 from hplan.robot.limits import rest_to_rest
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal
 from hplan.tour.moves import Moves, Stop
-from hplan.tour.ordering import Costs, Visits, along
+from hplan.tour.ordering import Costs, Visits, order_grasps
 
 #: Name of the collision shape of the carried fruit.
 CARRIED = "carried fruit"
 
 
-def carrying(robot: Robot, radius: float, frames: Sequence[str] = ()) -> Robot:
+def with_carried_fruit(robot: Robot, radius: float, frames: Sequence[str] = ()) -> Robot:
     """Return the arm with a carried fruit in its collision geometry.
 
     The fruit is a ball at the tool frame, attached to the joint that carries the frame.
@@ -84,7 +84,7 @@ LegMotions: TypeAlias = tuple[str | None, Grasp | None, list[Motion]]
 _Blended: TypeAlias = tuple[Motion | None, Motion, Motion | None]
 
 
-class _Step(NamedTuple):
+class _TourStep(NamedTuple):
     """Step of a tour: at a place, or from stop to stop.
 
     Attributes:
@@ -141,13 +141,13 @@ class Motions:
         self._pick_s: list[float] = []  # per place, duration of approach and retreat or a lower bound [s]
         self._active: list[list[int]] = []
         self._picks: dict[int, tuple[Motion, ...] | None] = {}
-        self._blended: dict[tuple[_Step, int | None, int | None], _Blended | None] = {}
+        self._blended: dict[tuple[_TourStep, int | None, int | None], _Blended | None] = {}
         self._sought = 0
         if drop is not None and self._home != self._hub:
             self._moves.keep(self._home, self._hub, False, drop)
 
     @property
-    def planned(self) -> int:
+    def planned_count(self) -> int:
         """Number of planned motions between stops, failed ones included."""
         return self._sought + self._moves.planned
 
@@ -187,7 +187,7 @@ class Motions:
         }
         return goals, self._costs(self._active_places)
 
-    def through(self, grasps: Sequence[Grasp]) -> Visits | None:
+    def tour_through(self, grasps: Sequence[Grasp]) -> Visits | None:
         """The tour through some grasps, in the given order.
 
         None if a grasp is not a place of this tour, the arm carries fruit, or a motion between two grasps was not
@@ -229,8 +229,8 @@ class Motions:
         # Maximum number of rounds with other grasps, and the minimum relative gain of a round to continue.
         widenings, least_gain = 8, 5e-3
         while True:
-            before, visits = visits, self._solved(solve, visits, last)
-            missing = [step for leg in self._steps(visits) for step in leg if not self._known(step)]
+            before, visits = visits, self._solve(solve, visits, last)
+            missing = [step for leg in self._steps(visits) for step in leg if not self._is_known(step)]
             for step in dict.fromkeys(step._replace(name="") for step in missing):
                 if step.place is not None:
                     self._pick(step.place)
@@ -244,11 +244,11 @@ class Motions:
             steps = [step for leg in self._steps(visits) for step in leg if step.place is None]
             if [step for step in steps if self._moves.made_quicker(*step.stops, step.loaded)]:
                 continue
-            if widened == widenings or visits.cost > (1.0 - least_gain) * cost or not self._widened(visits):
+            if widened == widenings or visits.cost > (1.0 - least_gain) * cost or not self._widen(visits):
                 return visits
             widened, cost = widened + 1, visits.cost
 
-    def _solved(self, solve: Solver, before: Visits | None, last: bool) -> Visits:
+    def _solve(self, solve: Solver, before: Visits | None, last: bool) -> Visits:
         """Optimize the tour over the active places."""
         places = self._active_places
         found = solve(self._costs(places), None if before is None else self.fruits_at(before.places), last)
@@ -258,14 +258,14 @@ class Motions:
     def _active_places(self) -> IntArray:
         return np.array([place for fruit in self._numbers.tolist() for place in self._active[fruit]], dtype=np.int64)
 
-    def _widened(self, visits: Visits) -> bool:
+    def _widen(self, visits: Visits) -> bool:
         """True if other grasps may shorten the tour in the same order.
 
         These grasps become active and replace others.
         """
         order = self.fruits_at(visits.places)
         likely = self._likely(visits)
-        promised = likely[along(self._costs(likely), order).places].tolist()
+        promised = likely[order_grasps(self._costs(likely), order).places].tolist()
         wider = False
         for fruit, place, other in zip(self._numbers[order].tolist(), visits.places.tolist(), promised, strict=True):
             active = self._active[fruit]
@@ -285,7 +285,9 @@ class Motions:
             number = around.index(self._first + place)
             beside = [around[number - 1], *around[number + 1 : number + 2]]
             whole = np.arange(self._begin[fruit], self._begin[fruit + 1])
-            bounds = self._moves.least(np.concatenate([beside, self._first + whole]))[: len(beside), len(beside) :]
+            bounds = self._moves.minimum_durations(np.concatenate([beside, self._first + whole]))[
+                : len(beside), len(beside) :
+            ]
             # Approximate maximum number of additional grasps of all fruits.
             found |= set(whole[ties.argsort(bounds.sum(axis=0))[: 1200 // len(fruits)]].tolist())
         return np.array(sorted(found))
@@ -309,7 +311,7 @@ class Motions:
         legs = [[step for step in leg if step.name != "return"] for leg in self._steps(visits)]
         if back:
             names.append((None, None))
-            legs.append([_Step("return", stops=(self._end(visits), self._home))])
+            legs.append([_TourStep("return", stops=(self._end(visits), self._home))])
         driven = [[each for step in leg for each in self._motions_of(step)] for leg in legs]
         if stops:
             motions = [self._without_stops(leg) for leg in driven]
@@ -318,14 +320,14 @@ class Motions:
             motions = [list(islice(whole, len(leg))) for leg in driven]
         return [(*name, leg) for name, leg in zip(names, motions, strict=True)]
 
-    def _motions_of(self, step: _Step) -> list[tuple[_Step, Motion]]:
+    def _motions_of(self, step: _TourStep) -> list[tuple[_TourStep, Motion]]:
         """Motions of a step, planned if necessary, each with its step."""
         if step.place is not None:
             return [(step, motion) for motion in self._pick(step.place) or ()]
         taken = self._moves.take(*step.stops, step.loaded) or ()
         return [(step._replace(stops=stops), replace(motion, name=step.name)) for stops, motion in taken]
 
-    def _without_stops(self, driven: Sequence[tuple[_Step, Motion]]) -> list[Motion]:
+    def _without_stops(self, driven: Sequence[tuple[_TourStep, Motion]]) -> list[Motion]:
         """Remove stops at stand-offs if that is faster."""
         found = [motion for _, motion in driven]
         places = {(number, motion.name): step.place for number, (step, motion) in enumerate(driven)}
@@ -336,7 +338,7 @@ class Motions:
             key = step._replace(name=""), leaving, coming
             if key not in self._blended:
                 back = self._blended.get((key[0]._replace(stops=step.stops[::-1]), coming, leaving))
-                self._blended[key] = self._blend(motion, *key) if back is None else _reversed(back)
+                self._blended[key] = self._blend(motion, *key) if back is None else _reverse_blended(back)
             blended = self._blended[key]
             if blended is not None:
                 retreat, transit, approach = blended
@@ -347,7 +349,7 @@ class Motions:
                     found[number + 1] = approach
         return found
 
-    def _blend(self, motion: Motion, step: _Step, leaving: int | None, coming: int | None) -> _Blended | None:
+    def _blend(self, motion: Motion, step: _TourStep, leaving: int | None, coming: int | None) -> _Blended | None:
         """Blend a transit with the adjacent retreat and approach; None for stops.
 
         Args:
@@ -360,7 +362,7 @@ class Motions:
             return None
         with suppress(*NO_MOTION):
             before, after = (None if place is None else self._places[place] for place in (leaving, coming))
-            return blended(self._moves.problem(*step.stops, step.loaded), motion, before, after)
+            return blend(self._moves.problem(*step.stops, step.loaded), motion, before, after)
         return None
 
     def end(self, visits: Visits) -> Stop:
@@ -384,7 +386,7 @@ class Motions:
         self._picks[place] = motions
         self._pick_s[place] = math.inf if motions is None else seconds(motions)
 
-    def _steps(self, visits: Visits) -> list[list[_Step]]:
+    def _steps(self, visits: Visits) -> list[list[_TourStep]]:
         """Steps of each leg: to the fruit, to the drop-off, and back."""
         found = []
         here = self._here
@@ -392,17 +394,17 @@ class Motions:
         for number, place in enumerate(visits.places.tolist()):
             stop = self._first + place
             full = self._carries and here not in (self._here, self._hub)
-            leg = [_Step("transit", stops=(here, stop), loaded=full), _Step(place=place)]
+            leg = [_TourStep("transit", stops=(here, stop), loaded=full), _TourStep(place=place)]
             here = stop
             if self._carries and (visits.dropped[number] or number == end):
-                leg.append(_Step("drop", stops=(stop, self._hub), loaded=True))
+                leg.append(_TourStep("drop", stops=(stop, self._hub), loaded=True))
                 here = self._hub
             found.append(leg)
         if self._back and found:
-            found[-1].append(_Step("return", stops=(here, self._home)))
+            found[-1].append(_TourStep("return", stops=(here, self._home)))
         return found
 
-    def _known(self, step: _Step) -> bool:
+    def _is_known(self, step: _TourStep) -> bool:
         return self._moves.is_known(*step.stops, step.loaded) if step.place is None else step.place in self._picks
 
     def _costs(self, places: IntArray) -> Costs:
@@ -430,11 +432,11 @@ class Motions:
         )
 
 
-def _reversed(found: _Blended) -> _Blended:
+def _reverse_blended(found: _Blended) -> _Blended:
     """Reverse a blended motion."""
     leaving, motion, coming = found
     before = None if coming is None else retreat_of(coming)
-    return before, motion.reversed, None if leaving is None else replace(leaving.reversed, name="approach")
+    return before, motion.reversal, None if leaving is None else replace(leaving.reversal, name="approach")
 
 
 def drop_off(goal: Goal, empty: Problem, loaded: Problem, start: FloatArray) -> Transit:
@@ -456,16 +458,16 @@ def drop_off(goal: Goal, empty: Problem, loaded: Problem, start: FloatArray) -> 
     if joints is not None:
         q = world.robot.check_configuration(world.robot.turned_near(joints, start), "drop_off")
         world.check_clear(q, "drop_off")
-        return best_motion(empty.between(start, q))[1]
+        return best_motion(empty.from_configurations(start, q))[1]
     if goal.pose is not None:
         ends = configurations_at(world, goal, start, empty.scene.locked_joints)
-        return best_motion(merged([empty.between(start, q) for q in ends]))[1]
+        return best_motion(merge_problems([empty.from_configurations(start, q) for q in ends]))[1]
     target = Target("the drop-off", np.array(goal.position), world, world, goal.approach_deg)
     found = grasps(target, start, standoff=0.0, locked=empty.scene.locked_joints)
 
     def problem_to(grasp: Grasp) -> Problem:
         world.check_clear(grasp.goal, "goal")
-        return empty.between(start, grasp.goal)
+        return empty.from_configurations(start, grasp.goal)
 
     _, plan = best_of(plans_to_grasps(empty, target, found, problem_to))
     return plan.transit

@@ -26,7 +26,7 @@ from hplan.planning.failures import NO_MOTION, FailuresError
 from hplan.planning.motion import Motion, best_of, seconds
 from hplan.planning.path_finder import Path, is_straight_clear, path_time, shortened, tree_paths
 from hplan.planning.problem import Problem
-from hplan.planning.solver import motion_near, motions, searches_first
+from hplan.planning.solver import motion_near, motions, searches_grid_first
 from hplan.robot.limits import Limits, rest_to_rest
 from hplan.scene.model import Fruit
 
@@ -48,14 +48,14 @@ class Stop:
 
 
 #: Two stops, the lower number first, and whether the arm is loaded between them.
-_Key: TypeAlias = tuple[int, int, bool]
+_MoveKey: TypeAlias = tuple[int, int, bool]
 
 
-def _key(a: int, b: int, loaded: bool) -> _Key:
+def _key(a: int, b: int, loaded: bool) -> _MoveKey:
     return min(a, b), max(a, b), loaded
 
 
-def _transit(problem: Problem, *, at_once: bool = False) -> Motion | None:
+def _first_transit(problem: Problem, *, at_once: bool = False) -> Motion | None:
     """Return the first motion found, or the quickest; None without one.
 
     Raises:
@@ -87,11 +87,11 @@ class Moves:
         self._contexts = (empty, empty if loaded is None else loaded)
         self._carries = loaded is not None
         self._hub = 0
-        self._found: dict[_Key, Motion | None] = {}
-        self._thorough: set[_Key] = set()
-        self._blocked: set[_Key] = set()
+        self._found: dict[_MoveKey, Motion | None] = {}
+        self._thorough: set[_MoveKey] = set()
+        self._blocked: set[_MoveKey] = set()
         self._joins = {carries: Joins(partial(self._may_pass, carries)) for carries in (False, True)}
-        self._routes: dict[_Key, list[Path]] = {}
+        self._routes: dict[_MoveKey, list[Path]] = {}
         # Flat lists of stop pairs: pairs with planned motions, and pairs with estimates only; the last estimate of
         # a pair is the best.
         self._looked = {carries: array("q") for carries in (False, True)}
@@ -99,7 +99,7 @@ class Moves:
         self._last_least = np.zeros(0, dtype=np.int64), np.zeros((0, 0))
         robot = empty.robot
         limits = Limits(robot.velocity_limit, robot.acceleration_limit, jerk=robot.jerk_limit)
-        limits = limits.scaled(empty.options.speed)
+        limits = limits.scale(empty.options.speed)
         self.limits = limits.velocity, limits.acceleration, limits.jerk
 
     def stop(self, stop: Stop) -> int:
@@ -120,7 +120,7 @@ class Moves:
 
     def keep(self, a: int, b: int, loaded: bool, motion: Motion) -> None:
         """Store an existing motion."""
-        self._take(_key(a, b, loaded), motion if a < b else motion.reversed)
+        self._take(_key(a, b, loaded), motion if a < b else motion.reversal)
 
     def is_known(self, a: int, b: int, loaded: bool) -> bool:
         """True if the motion was planned."""
@@ -137,14 +137,14 @@ class Moves:
             return
         try:
             problem = self.problem(*key)
-            if problem.is_empty or searches_first(problem):
-                self._plan(key, _transit(problem))
+            if problem.is_empty or searches_grid_first(problem):
+                self._plan(key, _first_transit(problem))
             elif key in self._routes:
                 self._plan(key, motion_near(problem, self._routes.pop(key)))
             elif key in self._blocked:
                 routes = tree_paths(problem, replace(problem.effort.trees, pairs=1))
                 least_s = [path_time(shortened(problem, path), problem.robot.velocity_limit) for path in routes]
-                if least_s and least_s[0] < self._joins[loaded].between(a, b):
+                if least_s and least_s[0] < self._joins[loaded].duration_between(a, b):
                     self._routes[key] = routes
                     # A motion near a tree path takes about this multiple of the path's duration at the velocity limits.
                     self._estimate(key, 1.2 * least_s[0])
@@ -153,7 +153,7 @@ class Moves:
             elif is_straight_clear(problem):
                 trees = replace(problem.effort.trees, pairs=1)
                 effort = replace(problem.effort, trees=trees, long=NO_TREES, proof_nodes=0.0)
-                self._plan(key, _transit(replace(problem, effort=effort), at_once=True))
+                self._plan(key, _first_transit(replace(problem, effort=effort), at_once=True))
             else:
                 self._block(key)
         except NO_MOTION:
@@ -169,17 +169,21 @@ class Moves:
         if a == b:
             return []
         way = self._joins[loaded].way(a, b)
-        return None if way is None else [((one, other), self._one(one, other, loaded)) for one, other in pairwise(way)]
+        return (
+            None
+            if way is None
+            else [((one, other), self._quickest_motion(one, other, loaded)) for one, other in pairwise(way)]
+        )
 
     def made_quicker(self, a: int, b: int, loaded: bool) -> bool:
         """Search thoroughly, once and if promising; True if that yields quicker motions."""
         key, taken = _key(a, b, loaded), self.take(a, b, loaded)
         duration_s = math.inf if taken is None else seconds([motion for _, motion in taken])
-        if key in self._thorough or duration_s <= CLOSE * self.least([a, b])[0, 1]:
+        if key in self._thorough or duration_s <= CLOSE * self.minimum_durations([a, b])[0, 1]:
             return False
         self._thorough.add(key)
         with suppress(*NO_MOTION):
-            found = _transit(self.problem(*key))
+            found = _first_transit(self.problem(*key))
             if found is not None and found.trajectory.duration < duration_s - GAIN_S:
                 self._plan(key, found)
                 return True
@@ -192,7 +196,7 @@ class Moves:
         They are exact for planned motions, otherwise estimates or lower bounds.
         """
         if not np.array_equal(self._last_least[0], stops):
-            self._last_least = stops, self.least(stops)
+            self._last_least = stops, self.minimum_durations(stops)
         least = self._last_least[1]
         seconds = least.copy()
         places: dict[int, list[int]] = {}
@@ -213,7 +217,7 @@ class Moves:
                 seconds[other], seconds[:, other] = seconds[same[0]], seconds[:, same[0]]
         return seconds
 
-    def least(self, stops: IntArray | Sequence[int]) -> FloatArray:
+    def minimum_durations(self, stops: IntArray | Sequence[int]) -> FloatArray:
         """(k, k) lower bounds on durations between k stops [s]."""
         there = np.array([self.stops[stop].configuration for stop in stops])
         least = np.empty((len(there), len(there)))
@@ -227,15 +231,15 @@ class Moves:
         ends, problem = (self.stops[a], self.stops[b]), self._contexts[loaded]
         for fruit in {end.fruit.name: end.fruit for end in ends if end.fruit is not None}.values():
             # The last link may touch the fruit at its stop.
-            problem = problem.among(problem.world.touching(fruit.name, fruit.hangs_from))
-        return problem.between(*(end.configuration for end in ends))
+            problem = problem.in_world(problem.world.allow_touch(fruit.name, fruit.hangs_from))
+        return problem.from_configurations(*(end.configuration for end in ends))
 
-    def _plan(self, key: _Key, found: Motion | None) -> None:
+    def _plan(self, key: _MoveKey, found: Motion | None) -> None:
         """Count and store the result of planning a motion."""
         self.planned += 1
         self._take(key, found)
 
-    def _take(self, key: _Key, found: Motion | None) -> None:
+    def _take(self, key: _MoveKey, found: Motion | None) -> None:
         """Store a motion, or None, and update the concatenations."""
         self._found[key] = found
         a, b, loaded = key
@@ -243,13 +247,13 @@ class Moves:
         for carries in (False, True) if loaded else (False,):
             self._joins[carries].add(a, b, math.inf if found is None else found.trajectory.duration)
 
-    def _block(self, key: _Key) -> None:
+    def _block(self, key: _MoveKey) -> None:
         """Record that the straight motion is blocked."""
         self._blocked.add(key)
         # Provisional estimate until a tree search.
-        self._estimate(key, 1.5 * self.least(key[:2])[0, 1])
+        self._estimate(key, 1.5 * self.minimum_durations(key[:2])[0, 1])
 
-    def _estimate(self, key: _Key, seconds: float) -> None:
+    def _estimate(self, key: _MoveKey, seconds: float) -> None:
         """Store a duration estimate for an unplanned motion [s]."""
         pairs, estimates = self._estimated[key[2]]
         pairs.extend(key[:2])
@@ -262,14 +266,14 @@ class Moves:
         """
         return self.stops[stop].fruit is None and not (loaded and stop == self._hub)
 
-    def _one(self, a: int, b: int, loaded: bool) -> Motion:
+    def _quickest_motion(self, a: int, b: int, loaded: bool) -> Motion:
         """Return the quickest known direct motion.
 
         An unloaded arm may use a motion planned for the loaded arm.
         """
         both = [self._found.get(_key(a, b, also)) for also in (loaded, loaded or self._carries)]
         there = min((one for one in both if one is not None), key=lambda one: one.trajectory.duration)
-        return there if a < b else there.reversed
+        return there if a < b else there.reversal
 
 
 #: Minimum gain for a joined motion to replace another one [s]; durations are whole numbers of periods.
@@ -324,7 +328,7 @@ class Joins:
         found[here] = self._seconds[i[here], j[here]]
         return found
 
-    def between(self, a: int, b: int) -> float:
+    def duration_between(self, a: int, b: int) -> float:
         """Duration between two stops [s]; infinite without a connection."""
         return float(self.seconds(np.array([a]), np.array([b]))[0])
 

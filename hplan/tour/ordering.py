@@ -28,7 +28,7 @@ import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, frozen, readonly
-from hplan.base.kernels import inlined, kernel
+from hplan.base.kernels import inline, kernel
 
 #: Maximum number of fruits, and of entries of the table, for the exact order.
 EXACT, _MOST_STATES = 11, 4_000_000
@@ -71,7 +71,7 @@ class Costs(NamedTuple):
         """(m,) index of the fruit of each place."""
         return np.repeat(np.arange(self.fruits), np.diff(self.begin))
 
-    def over(self, fruits: Sequence[int]) -> Costs:
+    def select(self, fruits: Sequence[int]) -> Costs:
         """Costs of a subset of the fruits, in the given order."""
         begin, onward = self.begin, self.onward
         places = np.concatenate([np.arange(begin[fruit], begin[fruit + 1]) for fruit in fruits])
@@ -112,16 +112,16 @@ class Visits:
     dropped: BoolArray
 
 
-def along(costs: Costs, order: Sequence[int] | IntArray) -> Visits:
+def order_grasps(costs: Costs, order: Sequence[int] | IntArray) -> Visits:
     """Optimal tour in a given order of all or some fruits."""
     order = np.asarray(order, dtype=np.int64)
     if not len(order):
         return Visits(0.0, order, np.zeros(0, dtype=np.bool_))
-    cost, places, dropped = _along(order, costs)
+    cost, places, dropped = _cost_of_order(order, costs)
     return Visits(float(cost), frozen(places), frozen(dropped))
 
 
-def nearest(costs: Costs) -> Visits:
+def nearest_tour(costs: Costs) -> Visits:
     """Greedy tour: always to the cheapest next fruit; drop-offs only if necessary."""
     fruit_of, left = costs.fruit_of, np.ones(len(costs.first), dtype=np.bool_)
     places: list[int] = []
@@ -153,23 +153,23 @@ def best(costs: Costs, before: IntArray | None = None, kicked: bool = True) -> V
     """
     n, m = costs.fruits, len(costs.first)
     if n <= 2 or (n <= EXACT and (m * max(1, min(costs.capacity, n))) << n <= _MOST_STATES):
-        return along(costs, _exact(costs))
+        return order_grasps(costs, _exact(costs))
     orders = [] if before is None else [np.asarray(before, dtype=np.int64)]
     if before is None or kicked:
-        orders.append(costs.fruit_of[nearest(costs).places])
-    found = [_improved(np.array(order), costs) for order in orders]
+        orders.append(costs.fruit_of[nearest_tour(costs).places])
+    found = [_improve_order(np.array(order), costs) for order in orders]
     cost, order = found[ties.argmin([cost for cost, _ in found])]
     if before is None or not kicked or not np.array_equal(order, orders[0]):
-        return along(costs, order)  # kicks follow once the order no longer changes
+        return order_grasps(costs, order)  # kicks follow once the order no longer changes
     random = np.random.default_rng(0)
     # Number of restarts from a perturbed order.
     for _ in range(30):
         cuts = np.sort(random.choice(np.arange(1, n), size=3, replace=False))
         a, b, c, d = np.split(order, cuts)
-        other_cost, other = _improved(np.concatenate([a, c, b, d]), costs)
+        other_cost, other = _improve_order(np.concatenate([a, c, b, d]), costs)
         if other_cost < cost * (1.0 - _GAIN):
             cost, order = other_cost, other
-    return along(costs, order)
+    return order_grasps(costs, order)
 
 
 def _total(costs: Costs, places: Sequence[int], dropped: Sequence[bool]) -> float:
@@ -216,7 +216,7 @@ def _cost(order: IntArray, costs: Costs, table: FloatArray) -> float:
 
 
 @kernel
-def _along(order: IntArray, costs: Costs) -> tuple[float, IntArray, BoolArray]:
+def _cost_of_order(order: IntArray, costs: Costs) -> tuple[float, IntArray, BoolArray]:
     """Cost, places and drop-offs of the optimal tour in a given order.
 
     They are traced back through the table of minimum costs.
@@ -246,7 +246,7 @@ def _along(order: IntArray, costs: Costs) -> tuple[float, IntArray, BoolArray]:
 
 
 @kernel
-def _improved(order: IntArray, costs: Costs) -> tuple[float, IntArray]:
+def _improve_order(order: IntArray, costs: Costs) -> tuple[float, IntArray]:
     """Improve an order by reversals of segments and moves of short segments."""
     n = len(order)
     loads, most = max(1, min(costs.capacity, n)), 1
@@ -280,12 +280,12 @@ def _improved(order: IntArray, costs: Costs) -> tuple[float, IntArray]:
                         continue
                     change = (kind, i, j)
                     if by_segments:
-                        if not _bound(whole, change, steps, known) < cost * (1.0 - _GAIN):
+                        if not _bound_tour(whole, change, steps, known) < cost * (1.0 - _GAIN):
                             continue
                         trial = _trial(whole, ends, change, known, here)
                         if not trial < cost * (1.0 - _GAIN):
                             continue
-                    _change(whole, change, other)
+                    _change_of_order(whole, change, other)
                     if not by_segments:
                         trial = _cost(other[1 : n + 1], costs, table)
                         if not trial < cost * (1.0 - _GAIN):
@@ -293,12 +293,12 @@ def _improved(order: IntArray, costs: Costs) -> tuple[float, IntArray]:
                     whole, other = other, whole
                     cost, better = trial, True
                     if by_segments:
-                        _fill_segments(whole, ends, (min(i, j), _after(change)), known)
+                        _fill_segments(whole, ends, (min(i, j), _end_of_change(change)), known)
     return cost, whole[1 : n + 1].copy()
 
 
 @kernel
-def _change(order: IntArray, change: tuple[int, int, int], other: IntArray) -> None:
+def _change_of_order(order: IntArray, change: tuple[int, int, int], other: IntArray) -> None:
     """Write an order with one segment reversed or moved.
 
     The segment from i to j is reversed, or fruits from i on are moved to position j.
@@ -385,11 +385,11 @@ def _fill_steps(ends: Ends, steps: FloatArray) -> None:
                     steps[f, g] = min(steps[f, g], ends.step[v, w])
 
 
-_Part: TypeAlias = tuple[int, int, int]
+_Segment: TypeAlias = tuple[int, int, int]
 
 
-@inlined
-def _parts(change: tuple[int, int, int], count: int) -> tuple[_Part, _Part, _Part, _Part]:
+@inline
+def _segments_after(change: tuple[int, int, int], count: int) -> tuple[_Segment, _Segment, _Segment, _Segment]:
     """Segments of the order after a change.
 
     Each has the first index (-1 for no segment), the last index, and 1 if it is reversed.
@@ -397,7 +397,7 @@ def _parts(change: tuple[int, int, int], count: int) -> tuple[_Part, _Part, _Par
     kind, i, j = change
     size = (kind - 1) % SEGMENT + 1
     moved = (i, i + size - 1, 1 if kind > SEGMENT else 0)
-    first, last = (0, min(i, j) - 1, 0), (_after(change), count - 1, 0)
+    first, last = (0, min(i, j) - 1, 0), (_end_of_change(change), count - 1, 0)
     if kind == 0:
         return first, (i, j, 1), (-1, -1, 0), last
     if j < i:
@@ -405,21 +405,21 @@ def _parts(change: tuple[int, int, int], count: int) -> tuple[_Part, _Part, _Par
     return first, (i + size, j + size - 1, 0), moved, last
 
 
-@inlined
-def _after(change: tuple[int, int, int]) -> int:
+@inline
+def _end_of_change(change: tuple[int, int, int]) -> int:
     """Index after the last position that a change affects."""
     kind, i, j = change
     return (j if kind == 0 else max(i, j) + (kind - 1) % SEGMENT) + 1
 
 
 @kernel
-def _bound(order: IntArray, change: tuple[int, int, int], steps: FloatArray, known: Segments) -> float:
+def _bound_tour(order: IntArray, change: tuple[int, int, int], steps: FloatArray, known: Segments) -> float:
     """Lower bound on the cost of an order after a change.
 
     It adds the minimum costs of the segments and of the steps between them.
     """
     whole, at = 0.0, -1
-    for low, high, back in _parts(change, len(order)):
+    for low, high, back in _segments_after(change, len(order)):
         if low >= 0:
             enters, leaves = (high, low) if back == 1 else (low, high)
             whole += known.least[back, low, high] + (steps[at, order[enters]] if at >= 0 else 0.0)
@@ -434,7 +434,7 @@ def _trial(order: IntArray, ends: Ends, change: tuple[int, int, int], known: Seg
     `here` (2, places) is workspace.
     """
     begin, at, now = ends.begin, -1, 0
-    for low, high, back in _parts(change, len(order)):
+    for low, high, back in _segments_after(change, len(order)):
         if low < 0:
             continue
         enters, leaves = (high, low) if back == 1 else (low, high)

@@ -27,7 +27,7 @@ from hplan.base.arguments import instance
 from hplan.base.arrays import Record
 from hplan.base.checked import Options
 from hplan.base.tasks import Pool, outcomes, pool_of
-from hplan.collision.reach import reach_ball
+from hplan.collision.reach import workspace_ball
 from hplan.errors import HplanError, InputError, MovingObstacleError, OptionError, TourError
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task
@@ -49,8 +49,8 @@ def within_reach(robot: Robot, scene: Scene) -> Scene:
         InputError: A rigid obstacle is inside the base.
     """
     scene = scene.copy_unchecked({"goal": Goal(position=(0.0, 0.0, 0.0), approach_deg=scene.goal.approach_deg)})
-    ball = reach_ball(robot)
-    cropped = scene.cropped(float(ball[3]) + scene.clearance, ball[:3])
+    ball = workspace_ball(robot)
+    cropped = scene.crop(float(ball[3]) + scene.clearance, ball[:3])
     near, inside = without_inside(robot, cropped)
     rigid = next((one.name for one in cropped.obstacles if one.name in inside and not one.yields), None)
     if rigid is not None:
@@ -148,14 +148,14 @@ def _by_set(owner: Mapping[str, int], costs: Sequence[Mapping[str, float]]) -> d
 
 
 #: Maximum number of candidate stops, of passes along the row, and of stops in one task of a worker.
-_MOST: Final = 20_000
-_WAYS: Final = 3
+_MOST_CANDIDATES: Final = 20_000
+_PASSES: Final = 3
 _LOT: Final = 6
 
 #: Prefix of the parts of a tree in a scene with several trees.
 _TREE: Final = re.compile(r"tree \d+(?= )")
 
-Objective = Literal["stops", "time"]
+RowObjective = Literal["stops", "time"]
 
 #: Speed or acceleration of the vehicle, and a time during which the arm waits [s].
 _Rate: TypeAlias = Annotated[float, Field(ge=0.001, le=100.0)]
@@ -189,7 +189,7 @@ class RowOptions(Options):
     both: bool = True
     step: Annotated[float, Field(ge=0.01, le=100.0)] = 0.1
     heights: Annotated[tuple[Annotated[float, Field(ge=-10.0, le=10.0)], ...], Field(min_length=1)] = (0.0,)
-    objective: Objective = "stops"
+    objective: RowObjective = "stops"
     share: Annotated[float, Field(ge=0.01, le=1.0)] = 1.0
     speed: _Rate = 0.5
     acceleration: _Rate = 0.5
@@ -220,7 +220,7 @@ class RowOptions(Options):
         return math.inf if self.objective == "stops" else self.settling + self.speed / self.acceleration
 
 
-class Place(NamedTuple):
+class BaseStop(NamedTuple):
     """Base stop.
 
     Attributes:
@@ -233,15 +233,15 @@ class Place(NamedTuple):
     along: float
     height: float
 
-    def seen(self, scene: Scene, options: RowOptions) -> Scene:
+    def see_scene(self, scene: Scene, options: RowOptions) -> Scene:
         """The scene as seen from the base there."""
         stands = scene.copy_unchecked(
             {"obstacles": tuple(one for one in scene.obstacles if one.name not in options.carried)}
         )
         if self.side == 1:
-            moved = stands.shifted((0.0, -self.along, -self.height))
+            moved = stands.shift((0.0, -self.along, -self.height))
         else:
-            moved = stands.shifted((2.0 * options.distance, self.along, -self.height), 180.0)
+            moved = stands.shift((2.0 * options.distance, self.along, -self.height), 180.0)
         carried = tuple(one for one in scene.obstacles if one.name in options.carried)
         return moved.copy_unchecked({"obstacles": (*moved.obstacles, *carried)})
 
@@ -257,7 +257,7 @@ class RowStop(Record):
         tour: The tour; its scene is cropped to the workspace, without previously picked fruits.
     """
 
-    place: Place
+    place: BaseStop
     way: int
     arrival_s: float
     tour: TourResult
@@ -280,7 +280,7 @@ class RowResult(Record):
     """
 
     stops: tuple[RowStop, ...]
-    candidates: Mapping[Place, tuple[str, ...]]
+    candidates: Mapping[BaseStop, tuple[str, ...]]
     picked: tuple[str, ...]
     reachable: tuple[str, ...]
     report: dict[str, Any]
@@ -337,8 +337,8 @@ def plan_row(
     first: dict[str, Any] = {}
     stops = list[RowStop]()
     gone: dict[str, None] = {}  # in picking order
-    failed: dict[Place, set[str]] = {place: set() for place in costs}
-    for way in range(1, _WAYS + 1):
+    failed: dict[BaseStop, set[str]] = {place: set() for place in costs}
+    for way in range(1, _PASSES + 1):
         left = {p: {f: c for f, c in held.items() if f not in gone and f not in failed[p]} for p, held in costs.items()}
         progress(f"pass {way}: choosing stops")
         least = math.ceil(row.share * len(reachable) - 1e-9) - len(gone)
@@ -359,7 +359,7 @@ def plan_row(
     if not stops:
         why = HplanError(f"it cannot be picked from any of {len(places)} stops")
         raise TourError([(fruit.name, why) for fruit in scene.fruits])
-    driven, driving_s = _driven(scene, row, stops)
+    driven, driving_s = _add_driving(scene, row, stops)
     spent = {"candidates_cpu_s": looked_s, "tours_cpu_s": time.process_time() - begin - looked_s}
     report = _report(robot, scene, row, driven, driving_s, tuple(gone), reachable)
     report["planner"] = {"candidates": len(places), "usable": len(costs), **first, **spent}
@@ -380,15 +380,15 @@ def _check(scene: Scene, options: PlanOptions, row: RowOptions) -> None:
             raise OptionError("carried", name, "the name of an obstacle")
 
 
-def _candidates(robot: Robot, scene: Scene, row: RowOptions) -> list[Place]:
+def _candidates(robot: Robot, scene: Scene, row: RowOptions) -> list[BaseStop]:
     """Grid stops along the row within the arm's reach of a fruit."""
-    y, reach = [fruit.center[1] for fruit in scene.fruits], float(reach_ball(robot)[3])
+    y, reach = [fruit.center[1] for fruit in scene.fruits], float(workspace_ball(robot)[3])
     first, last = math.ceil((min(y) - reach) / row.step), math.floor((max(y) + reach) / row.step)
     sides = (1, 2) if row.both else (1,)
-    if len(sides) * len(row.heights) * (last - first + 1) > _MOST:
-        raise OptionError("step", row.step, f"a step that leaves at most {_MOST:,} candidate stops")
+    if len(sides) * len(row.heights) * (last - first + 1) > _MOST_CANDIDATES:
+        raise OptionError("step", row.step, f"a step that leaves at most {_MOST_CANDIDATES:,} candidate stops")
     grid = [number * row.step for number in range(first, last + 1)]
-    return list(itertools.starmap(Place, itertools.product(sides, grid, row.heights)))
+    return list(itertools.starmap(BaseStop, itertools.product(sides, grid, row.heights)))
 
 
 def _costs(
@@ -396,29 +396,29 @@ def _costs(
     scene: Scene,
     options: PlanOptions,
     row: RowOptions,
-    places: Sequence[Place],
+    places: Sequence[BaseStop],
     pool: tuple[Pool, int],
     progress: Progress,
-) -> dict[Place, dict[str, float]]:
+) -> dict[BaseStop, dict[str, float]]:
     """Pickable fruits of each valid stop, with lower bounds [s].
 
     The bounds are on the durations of the motions to the fruits.
     """
     lots = [places[i : i + _LOT] for i in range(0, len(places), _LOT)]
-    found: dict[Place, dict[str, float] | None] = {}
-    for _, lot in outcomes(partial(_seen_from, robot, scene, options, row), lots, *pool):
+    found: dict[BaseStop, dict[str, float] | None] = {}
+    for _, lot in outcomes(partial(_seen_from_stop, robot, scene, options, row), lots, *pool):
         found |= lot
         progress(f"stops: {len(found)} of {len(places)} evaluated")
     return {place: held for place in places if (held := found[place]) is not None}
 
 
-def _seen_from(
-    robot: Robot, scene: Scene, options: PlanOptions, row: RowOptions, places: Sequence[Place]
-) -> dict[Place, dict[str, float] | None]:
-    found: dict[Place, dict[str, float] | None] = {}
+def _seen_from_stop(
+    robot: Robot, scene: Scene, options: PlanOptions, row: RowOptions, places: Sequence[BaseStop]
+) -> dict[BaseStop, dict[str, float] | None]:
+    found: dict[BaseStop, dict[str, float] | None] = {}
     for place in places:
         try:
-            near = within_reach(robot, place.seen(scene, row))
+            near = within_reach(robot, place.see_scene(scene, row))
             held = pickable(robot, near, options)
         except InputError:  # a rigid obstacle is inside the base, or the waiting arm is in collision
             found[place] = None
@@ -428,7 +428,7 @@ def _seen_from(
 
 
 def _tour_at(
-    place: Place,
+    place: BaseStop,
     given: tuple[Robot, Scene, PlanOptions, RowOptions, TourOptions],
     gone: Collection[str],
     wanted: Sequence[str],
@@ -442,7 +442,7 @@ def _tour_at(
         wanted: Names of the fruits to pick.
     """
     robot, scene, options, row, tour = given
-    near = within_reach(robot, place.seen(scene, row))
+    near = within_reach(robot, place.see_scene(scene, row))
     hanging = tuple(fruit for fruit in near.fruits if fruit.name not in gone)
     try:
         return plan_tour(robot, near.copy_unchecked({"fruits": hanging}), options, fruits=wanted, tour=tour)
@@ -450,7 +450,7 @@ def _tour_at(
         return None
 
 
-def _driven(scene: Scene, row: RowOptions, stops: Sequence[RowStop]) -> tuple[list[RowStop], float]:
+def _add_driving(scene: Scene, row: RowOptions, stops: Sequence[RowStop]) -> tuple[list[RowStop], float]:
     """The stops with their driving times, and the total one [s].
 
     Settling times are included.

@@ -37,11 +37,11 @@ from hplan.planning.report import far_report, motion_report
 from hplan.planning.stages import Progress, no_progress
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene
-from hplan.tour.motions import LegMotions, Motions, carrying, drop_off
+from hplan.tour.motions import LegMotions, Motions, drop_off, with_carried_fruit
 from hplan.tour.moves import Stop
-from hplan.tour.ordering import Costs, Visits, along, best, nearest
-from hplan.trajectory.retime import resting
-from hplan.trajectory.trajectory import Phase, Trajectory, joined
+from hplan.tour.ordering import Costs, Visits, best, nearest_tour, order_grasps
+from hplan.trajectory.retime import rest_at
+from hplan.trajectory.trajectory import Phase, Trajectory, join_trajectories
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,23 +252,23 @@ class TourPlanner:
         self._drop: Transit | None = None
         if scene.start.is_moving:
             raise SceneError("tours begin at rest, but the start has a velocity or an acceleration", where="start")
-        self.problem = Problem.of(robot, scene, options)
+        self.problem = Problem.from_scene(robot, scene, options)
         self.start = self.problem.start
         self.problem.world.check_base()
-        self.problem.between(self.start, self.start)
+        self.problem.from_configurations(self.start, self.start)
         if tour.drop_off is not None:
             progress("drop-off")
             thickest = max(fruit.radius for fruit in scene.fruits if fruit.name in names)
-            self._carrying = carrying(robot, thickest)
-            loaded = Problem.of(self._carrying, scene, options)
+            self._carrying = with_carried_fruit(robot, thickest)
+            loaded = Problem.from_scene(self._carrying, scene, options)
             self._drop = drop_off(tour.drop_off, self.problem, loaded, self.start)
         self._whole = self._motions(scene, Stop(self.start))
 
     def _motions(self, scene: Scene, here: Stop) -> Motions:
         """Return the motions among a scene's solids, from the arm's stop."""
         return Motions(
-            Problem.of(self.robot, scene, self.options),
-            None if self._carrying is None else Problem.of(self._carrying, scene, self.options),
+            Problem.from_scene(self.robot, scene, self.options),
+            None if self._carrying is None else Problem.from_scene(self._carrying, scene, self.options),
             here=here, home=Stop(self.start), drop=self._drop, every=self.tour.every or 1, back=self.tour.back,
         )  # fmt: skip
 
@@ -304,9 +304,9 @@ class TourPlanner:
         self._whole.choose(names)
         return self._whole.costs()
 
-    def reversed(self, tour: TourResult) -> TourResult | None:
+    def reverse(self, tour: TourResult) -> TourResult | None:
         """Return the reversed tour; None if its motions are not all known."""
-        visits = self._whole.through([leg.grasp for leg in reversed(tour.legs) if leg.grasp is not None])
+        visits = self._whole.tour_through([leg.grasp for leg in reversed(tour.legs) if leg.grasp is not None])
         return None if visits is None else self._result([_Stage(self._whole, visits, {}, [])], tour.unreached)
 
     def _stage(self, motions: Motions, fruits: Sequence[Fruit]) -> _Stage:
@@ -345,14 +345,14 @@ class TourPlanner:
         here, begin, legs = self.start, 0.0, list[Leg]()
         for fruit, grasp, parts in drafts:
             if not parts:  # the arm stays at rest
-                rest = resting(self.robot.model, here)
+                rest = rest_at(self.robot.model, here)
                 parts = [Motion("return", rest, require_certificate(self.problem, certificate_of(self.problem, rest)))]
             legs.append(Leg(fruit, grasp, begin, *in_sequence(parts, begin)))
             begin = legs[-1].phases[-1].end_s
             here = legs[-1].trajectory.position[-1]
         picked, dropped = _times(legs)
-        trajectory = joined([leg.trajectory for leg in legs])
-        digests = Digests.of(self.robot, self.scene, trajectory)
+        trajectory = join_trajectories([leg.trajectory for leg in legs])
+        digests = Digests.compute(self.robot, self.scene, trajectory)
         certificate = replace(all_of([leg.certificate for leg in legs]), digests=digests)
         return TourResult(
             order=tuple(picked),
@@ -415,7 +415,7 @@ class TourPlanner:
             "totals_s": {"fruits": len(stages[0].motions.fruits), **stages[0].totals},
             "planner": {
                 "time_ms": round(1e3 * (time.perf_counter() - self._begin), 4),
-                "motions_planned": sum(stage.motions.planned for stage in stages),
+                "motions_planned": sum(stage.motions.planned_count for stage in stages),
                 "stages": len(stages),
             },
         }
@@ -427,8 +427,8 @@ def _visits(motions: Motions, order: Order, given: Sequence[str]) -> Visits:
         return motions.settle(best)
     fixed = np.array([motions.fruits.index(name) for name in given])
     if order == "nearest":
-        fixed = motions.fruits_at(motions.settle(lambda costs, *_: nearest(costs)).places)
-    return motions.settle(lambda costs, *_: along(costs, fixed))
+        fixed = motions.fruits_at(motions.settle(lambda costs, *_: nearest_tour(costs)).places)
+    return motions.settle(lambda costs, *_: order_grasps(costs, fixed))
 
 
 def _times(legs: Sequence[Leg]) -> tuple[dict[str, float], dict[str, float]]:

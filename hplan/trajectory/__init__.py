@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from hplan.base.lazy_import import lazy_names
 
 if TYPE_CHECKING:
-    from hplan.trajectory.corner_rounding import largest_deviation, rounded_path
+    from hplan.trajectory.corner_rounding import largest_path_deviation, rounded_path
     from hplan.trajectory.timing import (
         AT_LIMIT,
         DEVIATION,
@@ -28,7 +28,7 @@ __all__ = [
     "DEVIATION",
     "LimitShares",
     "corner_grid",
-    "largest_deviation",
+    "largest_path_deviation",
     "limit_shares",
     "limits_of",
     "read_kinematics",
@@ -40,7 +40,7 @@ __all__ = [
 __getattr__ = lazy_names(
     __name__,
     {
-        "hplan.trajectory.corner_rounding": "largest_deviation rounded_path",
+        "hplan.trajectory.corner_rounding": "largest_path_deviation rounded_path",
         "hplan.trajectory.timing": "AT_LIMIT DEVIATION LimitShares corner_grid limit_shares limits_of "
         "read_kinematics read_waypoints time_waypoints",
     },

@@ -13,7 +13,7 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray
 from hplan.robot.model import Robot
-from hplan.trajectory.cubics import points_of, rows_of
+from hplan.trajectory.cubics import points_of, sample_spline
 from hplan.trajectory.trajectory import Trajectory
 
 
@@ -43,7 +43,7 @@ def braking(
         step = np.where(np.abs(step + change) <= 1e-15, 0.0, step + change)
         points.append(points[-1] + step)
     points += [points[-1]] * (2 if (points[-1] != points[-2]).any() else 1)
-    rows = rows_of(np.array(points), period)
+    rows = sample_spline(np.array(points), period)
     ends = zip(rows, (position, velocity, acceleration), (points[-1], 0.0, 0.0), strict=True)
     for values, first, last in ends:
         values[0], values[-1] = first, last

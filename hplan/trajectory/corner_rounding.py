@@ -37,7 +37,7 @@ from hplan.trajectory.spline import SplinePath, first_contact
 LEAST_DEVIATION = 1e-4
 
 #: Waypoints closer to each other than this coincide [rad].
-SAME = 1e-9
+COINCIDENT = 1e-9
 
 #: Fraction of the deviation used for leaving out waypoints.
 THINNING = 0.25
@@ -75,12 +75,12 @@ def rounded_path(waypoints: ArrayLike, deviation_rad: float) -> SplinePath:
     most_deviation = 1e6
     expected = f"a number of radians >= {LEAST_DEVIATION:g} and <= {most_deviation:g}"
     number("deviation_rad", deviation_rad, expected, lambda given: LEAST_DEVIATION <= given <= most_deviation)
-    points = _thinned(points, THINNING * deviation_rad - SAME)
+    points = _thin_points(points, THINNING * deviation_rad - COINCIDENT)
     if len(points) < 2:
         return SplinePath(readonly(np.repeat(points, 4, axis=0)), readonly([0.0] * 4 + [1.0] * 4))
     length = np.linalg.norm(np.diff(points, axis=0), axis=1)
     bend = np.linalg.norm(np.diff(np.diff(points, axis=0) / length[:, None], axis=0), axis=1)
-    return _rounded(
+    return _round_corners(
         points, np.minimum(_widest(length), 6.0 * (1.0 - THINNING) * deviation_rad / np.maximum(bend, 1e-12))
     )
 
@@ -100,7 +100,7 @@ def clear_rounding(path: FloatArray, field: ClearanceField, *, margin: float) ->
     """
     half = _widest(np.linalg.norm(np.diff(path, axis=0), axis=1))
     while True:
-        spline = _rounded(path, half)
+        spline = _round_corners(path, half)
         bad = np.flatnonzero(first_contact(spline.pieces, field, 0.5 * margin))
         if not len(bad):
             return spline
@@ -121,7 +121,7 @@ def _widest(length: FloatArray) -> FloatArray:
     return widest
 
 
-def _rounded(points: FloatArray, half: FloatArray) -> SplinePath:
+def _round_corners(points: FloatArray, half: FloatArray) -> SplinePath:
     """Spline of the polyline with given corner half-widths (see the module)."""
     station = stations(points)
     inner = (station[1:-1, None] + half[:, None] * np.array([-1.0, 0.0, 1.0])).ravel()
@@ -146,14 +146,14 @@ def as_waypoints(waypoints: ArrayLike) -> FloatArray:
     return points
 
 
-def _thinned(points: FloatArray, radius: float) -> FloatArray:
+def _thin_points(points: FloatArray, radius: float) -> FloatArray:
     """Subset of the points, ends included, connected by the longest permitted chords."""
     taken, low = [points[0]], 0
     while low < len(points) - 1:
         high = low + 1
         while high < len(points) - 1 and _stands_for(points[low : high + 2], radius):
             high += 1
-        if np.linalg.norm(points[high] - taken[-1]) > SAME:
+        if np.linalg.norm(points[high] - taken[-1]) > COINCIDENT:
             taken.append(points[high])
         low = high
     if len(taken) > 1:
@@ -169,7 +169,7 @@ def _stands_for(points: FloatArray, radius: float) -> bool:
     start, step = points[0], points[-1] - points[0]
     away = points[1:-1] - start
     squared = float(step @ step)
-    if squared <= SAME**2:
+    if squared <= COINCIDENT**2:
         return bool((np.linalg.norm(away, axis=1) <= radius).all())
     middle = away @ step / squared
     offset = np.linalg.norm(away - middle[:, None] * step, axis=1)
@@ -181,7 +181,7 @@ def _stands_for(points: FloatArray, radius: float) -> bool:
     return bool((earliest <= np.minimum(middle + reach, 1.0)).all())
 
 
-def largest_deviation(positions: ArrayLike, waypoints: ArrayLike) -> float:
+def largest_path_deviation(positions: ArrayLike, waypoints: ArrayLike) -> float:
     """Maximum distance of configurations from the polyline through waypoints [rad].
 
     The distance is the Euclidean norm in joint space.

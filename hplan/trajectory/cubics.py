@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray, frozen
-from hplan.base.kernels import inlined, kernel
+from hplan.base.kernels import inline, kernel
 
 #: Curve between two samples: a cubic by positions and velocities, a quintic by accelerations too, or a straight line.
 Interpolation: TypeAlias = Literal["cubic", "quintic", "linear"]
@@ -57,17 +57,17 @@ class Rows(NamedTuple):
         """The cubics between the samples (`hermite_pieces`)."""
         return hermite_pieces(self.time, self.position, self.velocity)
 
-    def since(self, row: int) -> Rows:
+    def cut_before(self, row: int) -> Rows:
         """The motion from a sample on; its time starts at 0.
 
         Examples:
             >>> zero = np.zeros((2, 1))
-            >>> Rows(np.array([0.0, 2.0]), zero, zero, zero, zero).since(1).time.tolist()
+            >>> Rows(np.array([0.0, 2.0]), zero, zero, zero, zero).cut_before(1).time.tolist()
             [0.0]
         """
         return Rows(self.time[row:] - self.time[row], *(values[row:] for values in self[1:]))
 
-    def until(self, row: int) -> Rows:
+    def cut_after(self, row: int) -> Rows:
         """The motion up to a sample."""
         return Rows(*(values[: row + 1] for values in self))
 
@@ -168,7 +168,7 @@ def accelerations(pieces: FloatArray, duration: FloatArray) -> FloatArray:
     return bent
 
 
-def rows_of(points: FloatArray, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def sample_spline(points: FloatArray, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Sample a uniform cubic B-spline at its knots.
 
     Args:
@@ -211,21 +211,21 @@ def evaluate(pieces: FloatArray, breaks: FloatArray, parameters: ArrayLike, deri
     return values.reshape(*wanted.shape, -1)
 
 
-@inlined
+@inline
 def bezier_value(b0: float, b1: float, b2: float, b3: float, t: float) -> float:
     """Value of a cubic at t in [0, 1]."""
     u = 1.0 - t
     return u * u * (u * b0 + 3.0 * t * b1) + t * t * (3.0 * u * b2 + t * b3)
 
 
-@inlined
+@inline
 def bezier_slope(b0: float, b1: float, b2: float, b3: float, t: float) -> float:
     """Derivative of a cubic at t in [0, 1]."""
     u = 1.0 - t
     return 3.0 * (u * u * (b1 - b0) + 2.0 * u * t * (b2 - b1) + t * t * (b3 - b2))
 
 
-@inlined
+@inline
 def cubic_at(bezier: FloatArray, piece: int, joint: int, t: float) -> tuple[float, float, float, float]:
     """Bezier points of a cubic with a segment's value at t.
 

@@ -2,7 +2,7 @@ r"""Time-optimal timing of a path (toppra), sampled for a controller.
 
 toppra computes the path speed on a grid of path parameters that contains the ends of the spline's pieces
 (`hplan.trajectory.topp`). The samples :math:`q_k = q(s(k h))` of that motion are then the control points of a uniform
-cubic B-spline in time, and the samples of the trajectory are at its knots (`hplan.trajectory.cubics.rows_of`).
+cubic B-spline in time, and the samples of the trajectory are at its knots (`hplan.trajectory.cubics.sample_spline`).
 
 These are averages of the motion's own position, velocity and acceleration over :math:`\pm h`, so its limits hold.
 Between samples the acceleration is linear and the velocity lies in the convex hull of the differences
@@ -35,15 +35,15 @@ from hplan.base.deadline import check_deadline
 from hplan.errors import HplanError, OptionError, TimingError
 from hplan.robot.dynamics import InverseDynamics, joints_that_slide
 from hplan.robot.limits import GeometricPath, Limits, check_rate
-from hplan.trajectory.cubics import rows_of
+from hplan.trajectory.cubics import sample_spline
 from hplan.trajectory.speed_profile import (
+    EMPTY_PATH,
     LITTLE,
-    MOST_POINTS,
+    MOST_GRID_POINTS,
     MOST_ROWS,
-    NO_MOTION,
     SpeedProfile,
     parameter_grid,
-    refined,
+    refine,
 )
 from hplan.trajectory.trajectory import Trajectory
 
@@ -86,12 +86,12 @@ def time_path(
         OptionError: `rate_hz` is not between 1 and 100000, or the motion needs more than `MOST_ROWS` samples.
     """
     check_rate(rate_hz)
-    dynamics = model if isinstance(model, InverseDynamics) else InverseDynamics.of(model)
+    dynamics = model if isinstance(model, InverseDynamics) else InverseDynamics.build(model)
     names = tuple(dynamics.model.names)[1:]
     whole = parameter_grid(path, GRID_POINTS) if grid is None else grid
     fine = path.evaluate(whole)
-    if np.ptp(fine, axis=0).max() < NO_MOTION:
-        return resting(dynamics.model, path.evaluate(0.0))
+    if np.ptp(fine, axis=0).max() < EMPTY_PATH:
+        return rest_at(dynamics.model, path.evaluate(0.0))
     _check_limits(path, dynamics, limits, whole, names)
     runs = np.linalg.norm(path.evaluate(np.array([0.0, path.breaks[-1]]), 1), axis=1)
     for where, run in zip(("start", "end"), runs, strict=True):
@@ -101,17 +101,17 @@ def time_path(
             )
             raise TimingError(message, cause="parameter")
     check_deadline()
-    profile = SpeedProfile.along(path, dynamics, limits, whole)
+    profile = SpeedProfile.compute(path, dynamics, limits, whole)
     # With fewer grid points per sample than this, violations between them slow the whole motion down; longer motions
     # get more points, up to a number that takes a tenth of a second.
     wanted = int(0.8 * profile.arrival[-1] * rate_hz)
     if grid is None and wanted > len(whole):
-        profile = SpeedProfile.along(path, dynamics, limits, parameter_grid(path, min(wanted, MOST_POINTS)))
+        profile = SpeedProfile.compute(path, dynamics, limits, parameter_grid(path, min(wanted, MOST_GRID_POINTS)))
     period = 1.0 / rate_hz
     return _sample_refined(profile, dynamics, names, limits, period, _smoothing_window(profile, limits, period))
 
 
-def resting(model: pin.Model, q: FloatArray) -> Trajectory:
+def rest_at(model: pin.Model, q: FloatArray) -> Trajectory:
     """Empty motion: a single sample at time 0, at rest."""
     zero = np.zeros((1, model.nv))
     torque = pin.rnea(model, model.createData(), q, zero[0], zero[0])
@@ -158,21 +158,21 @@ def _smoothing_window(profile: SpeedProfile, limits: Limits, period: float) -> i
     if limits.jerk is None:
         return 1
     jerk = limits.jerk
-    moves = np.ptp(profile.path.evaluate(profile.grid), axis=0) > NO_MOTION
+    moves = np.ptp(profile.path.evaluate(profile.grid), axis=0) > EMPTY_PATH
     enough = int(np.ceil((2.0 * limits.acceleration[moves] / (jerk[moves] * period)).max(initial=1.0)))
     if enough == 1:
         return 1
     # The acceleration change of the mean of m control points is the difference of two raw ones m samples apart, over m.
-    raw = _rows(profile, replace(limits, jerk=None), period, 1).acceleration[:, moves]
+    raw = _average_rows(profile, replace(limits, jerk=None), period, 1).acceleration[:, moves]
     padded = np.concatenate([np.zeros_like(raw[:1]), raw, np.zeros_like(raw[:1])])
     allowed = jerk[moves] * period * (1.0 + 1e-6)
-    for window in _windows(min(enough, len(padded) - 1)):
+    for window in _window_sizes(min(enough, len(padded) - 1)):
         if (np.abs(padded[window:] - padded[:-window]) <= allowed * window).all():
             return window
     return enough
 
 
-def _windows(end: int) -> Iterator[int]:
+def _window_sizes(end: int) -> Iterator[int]:
     """Window sizes below `end` to try."""
     window = 1
     while window < end:
@@ -200,13 +200,13 @@ def _sample(
     factor = 1.0
     for _ in range(_MOST_SLOWINGS):
         check_deadline()
-        rows = _rows(profile, limits, period, window, factor)
+        rows = _average_rows(profile, limits, period, window, factor)
         torque = dynamics.torques(rows.position, rows.velocity, rows.acceleration)
         excess = 0.0
         if limits.torque is not None:
             excess = torque_excess(dynamics, rows.position, torque, limits.torque)
             if period > TORQUE_PERIOD_S:
-                q, v, a = _between(rows, period)
+                q, v, a = _sample_between(rows, period)
                 excess = max(excess, torque_excess(dynamics, q, dynamics.torques(q, v, a), limits.torque))
         if excess <= 1.0:
             time = np.arange(len(torque), dtype=np.float64) * period
@@ -231,7 +231,7 @@ def _sample_refined(
             return coarse
     except (OptionError, TimingError) as error:
         coarse = error
-    finer = refined(profile, dynamics, limits, period)
+    finer = refine(profile, dynamics, limits, period)
     if finer is not profile:
         return _sample(finer, dynamics, names, limits, period, _smoothing_window(finer, limits, period))[0]
     if isinstance(coarse, HplanError):
@@ -239,7 +239,7 @@ def _sample_refined(
     return coarse
 
 
-def _between(rows: _Rows, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _sample_between(rows: _Rows, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Positions, velocities and accelerations between samples, where acceleration is linear."""
     parts = int(np.ceil(period / TORQUE_PERIOD_S - 1e-9))
     t = (np.arange(1, parts) * (period / parts))[:, None, None]
@@ -263,7 +263,7 @@ def torque_excess(dynamics: InverseDynamics, position: FloatArray, torque: Float
     return float(max(1.0 + 1e-4, np.sqrt((np.abs(torque - gravity) / room)[over].max())))
 
 
-def _rows(profile: SpeedProfile, limits: Limits, period: float, window: int, factor: float = 1.0) -> _Rows:
+def _average_rows(profile: SpeedProfile, limits: Limits, period: float, window: int, factor: float = 1.0) -> _Rows:
     """Samples at multiples of the period, with `window` control points averaged.
 
     See the module's text. Between grid points velocity and acceleration exceed their limits slightly, which slows the
@@ -287,8 +287,8 @@ def _rows(profile: SpeedProfile, limits: Limits, period: float, window: int, fac
         if window > 1:
             total = np.cumsum(np.concatenate([np.zeros((1, control.shape[1])), control - control[0]]), axis=0)
             control = control[0] + (total[window:] - total[:-window]) / window
-        position, velocity, acceleration = rows_of(control, period)
-        moves = np.ptp(control, axis=0) > NO_MOTION
+        position, velocity, acceleration = sample_spline(control, period)
+        moves = np.ptp(control, axis=0) > EMPTY_PATH
         excess = max(
             _largest_use(np.diff(control, axis=0) / period, limits.velocity, moves),
             np.sqrt(_largest_use(acceleration, limits.acceleration, moves)),

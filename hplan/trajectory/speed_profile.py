@@ -14,13 +14,13 @@ import numpy as np
 from hplan.base.arrays import FloatArray
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.limits import GeometricPath, Limits
-from hplan.trajectory.cubics import rows_of
+from hplan.trajectory.cubics import sample_spline
 
 #: Maximum number of grid points of longer motions; this many take a tenth of a second.
-MOST_POINTS = 4000
+MOST_GRID_POINTS = 4000
 
 #: A path on which no joint moves farther than this is empty [rad].
-NO_MOTION = 1e-7
+EMPTY_PATH = 1e-7
 
 #: Maximum number of samples of a motion; this many take 0.2 GB.
 MOST_ROWS = 400_000
@@ -72,14 +72,14 @@ class SpeedProfile:
     arrival: FloatArray
 
     @classmethod
-    def along(cls, path: GeometricPath, dynamics: InverseDynamics, limits: Limits, grid: FloatArray) -> SpeedProfile:
+    def compute(cls, path: GeometricPath, dynamics: InverseDynamics, limits: Limits, grid: FloatArray) -> SpeedProfile:
         """Compute the profile with toppra, from rest to rest."""
         from hplan.trajectory.topp import fastest_speed
 
-        return cls.of(path, grid, fastest_speed(path, dynamics, limits, grid))
+        return cls.from_speed(path, grid, fastest_speed(path, dynamics, limits, grid))
 
     @classmethod
-    def of(cls, path: GeometricPath, grid: FloatArray, speed: FloatArray) -> SpeedProfile:
+    def from_speed(cls, path: GeometricPath, grid: FloatArray, speed: FloatArray) -> SpeedProfile:
         """Build the profile from the path speed at the grid points."""
         # The path acceleration is constant between grid points, so each interval takes 2 ds / (sum of its speeds).
         durations = 2.0 * np.diff(grid) / (speed[:-1] + speed[1:])
@@ -106,7 +106,7 @@ class SpeedProfile:
         return self.path.evaluate(np.array([0.0, self.path.breaks[-1]]))
 
 
-def refined(profile: SpeedProfile, dynamics: InverseDynamics, limits: Limits, period: float) -> SpeedProfile:
+def refine(profile: SpeedProfile, dynamics: InverseDynamics, limits: Limits, period: float) -> SpeedProfile:
     """Refine the grid wherever samples between grid points exceed a limit.
 
     toppra enforces the limits at the grid points. If the path bends sharply between two of them, samples in between may
@@ -114,7 +114,7 @@ def refined(profile: SpeedProfile, dynamics: InverseDynamics, limits: Limits, pe
     """
     for _ in range(_MOST_REFINEMENTS):
         over = _rows_over(profile, dynamics, limits, period)
-        if len(over) == 0 or len(profile.grid) > MOST_POINTS:
+        if len(over) == 0 or len(profile.grid) > MOST_GRID_POINTS:
             return profile
         # Each sample's control points average over a period on either side.
         first = np.searchsorted(profile.arrival, over - 1.5 * period, side="right") - 1
@@ -127,7 +127,7 @@ def refined(profile: SpeedProfile, dynamics: InverseDynamics, limits: Limits, pe
             return profile
         inner = profile.grid[at, None] + np.diff(profile.grid)[at, None] * (np.arange(1, _SPLIT) / _SPLIT)
         grid = np.union1d(profile.grid, inner)
-        profile = SpeedProfile.along(profile.path, dynamics, limits, grid)
+        profile = SpeedProfile.compute(profile.path, dynamics, limits, grid)
     return profile
 
 
@@ -139,8 +139,8 @@ def _rows_over(profile: SpeedProfile, dynamics: InverseDynamics, limits: Limits,
     clock = np.arange(-1, steps + 1, dtype=np.float64) * period
     control = profile.positions(clock)
     change = np.diff(control, axis=0) / period
-    _, velocity, acceleration = rows_of(control, period)
-    moves = np.ptp(control, axis=0) > NO_MOTION
+    _, velocity, acceleration = sample_spline(control, period)
+    moves = np.ptp(control, axis=0) > EMPTY_PATH
     fast = np.any(np.abs(change[:, moves]) > (1.0 + LITTLE) * limits.velocity[moves], axis=1)
     over = np.any(np.abs(acceleration[:, moves]) > (1.0 + LITTLE) ** 2 * limits.acceleration[moves], axis=1)
     over |= fast[1:] | fast[:-1]

@@ -46,7 +46,7 @@ class SplinePath(Record):
     knots: FloatArray
 
     @classmethod
-    def through(cls, control: ArrayLike) -> SplinePath:
+    def from_control_points(cls, control: ArrayLike) -> SplinePath:
         """Spline with these control points and knots averaged along their polygon.
 
         Averaging (de Boor, A Practical Guide to Splines, XIII) makes the parameter follow the arc length.
@@ -56,7 +56,7 @@ class SplinePath(Record):
                 coincide in between.
 
         Examples:
-            >>> path = SplinePath.through([[0.0], [1.0], [2.0], [3.0]])
+            >>> path = SplinePath.from_control_points([[0.0], [1.0], [2.0], [3.0]])
             >>> path.evaluate(path.end).tolist(), round(path.length, 9)
             ([3.0], 3.0)
         """

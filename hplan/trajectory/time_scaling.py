@@ -32,7 +32,7 @@ from hplan.base.arrays import FloatArray, numbers
 from hplan.collision.reach import largest_sway
 from hplan.errors import InputError, OptionError
 from hplan.robot.model import Robot
-from hplan.trajectory.cubics import Rows, accelerations, joined_rows, points_of, rows_of
+from hplan.trajectory.cubics import Rows, accelerations, joined_rows, points_of, sample_spline
 from hplan.trajectory.speed_profile import MOST_ROWS
 from hplan.trajectory.time_steps import FADED, Clocks, Kept, run_clock
 
@@ -43,7 +43,7 @@ Profile: TypeAlias = "float | Sequence[tuple[float, float]] | FloatArray | Calla
 OFF_PATH, _DENSER = 1e-4, 8
 
 #: A joint that reaches its limit may exceed it by this distance [rad].
-AT_LIMIT = 2e-7
+LIMIT_TOLERANCE = 2e-7
 
 #: Tolerances, as fractions: samples may exceed limits of velocity, acceleration and torque by the first, or by up to
 #: the second if the motion itself exceeds them; jerk limits by the third. A larger excess of the motion itself is
@@ -54,7 +54,7 @@ SPARE, _MOST_SPARE, _SPARE_JERK = 7e-4, 9.5e-4, 0.03
 _LONGEST_S = 3600.0
 
 
-def rescaled(
+def rescale(
     motion: Rows, robot: Robot, row: int, wanted: Callable[[FloatArray], FloatArray], *, final_s: float
 ) -> tuple[Rows, FloatArray, FloatArray, float] | None:
     """Retime a motion from a sample on.
@@ -75,19 +75,19 @@ def rescaled(
     Raises:
         OptionError: The motion does not end with these factors.
     """
-    rest = motion.since(row)
+    rest = motion.cut_before(row)
     period = float(rest.time[1])
     for halving in range(_DENSER):
         found = _with_period(rest, robot, period * 0.5**halving, wanted, final_s)
         if found is None:
             continue
         q, off_m = found[0].position, float(largest_sway(robot, found[2]))
-        within = (q >= np.minimum(robot.lower, rest.position.min(axis=0)) - AT_LIMIT).all() and (
-            q <= np.maximum(robot.upper, rest.position.max(axis=0)) + AT_LIMIT
+        within = (q >= np.minimum(robot.lower, rest.position.min(axis=0)) - LIMIT_TOLERANCE).all() and (
+            q <= np.maximum(robot.upper, rest.position.max(axis=0)) + LIMIT_TOLERANCE
         ).all()
         if off_m <= OFF_PATH and within:
             clock = np.concatenate([motion.time[:row], motion.time[row] + found[1]])
-            return joined_rows([motion.until(row), found[0]]), clock, found[2], off_m
+            return joined_rows([motion.cut_after(row), found[0]]), clock, found[2], off_m
     return None
 
 
@@ -95,7 +95,7 @@ def _with_period(
     rest: Rows, robot: Robot, period: float, wanted: Callable[[FloatArray], FloatArray], final_s: float
 ) -> tuple[Rows, FloatArray, FloatArray] | None:
     """Retime a motion at a fixed sampling period; None if not found."""
-    limits = _kept(rest, robot, period)
+    limits = _keep_or_repair(rest, robot, period)
     rows = int((2.0 if final_s == 0.0 else 4.0) * rest.duration / period) + 64
     while True:
         if rows > MOST_ROWS or rows * period > _LONGEST_S:
@@ -104,7 +104,7 @@ def _with_period(
                 f"within {_LONGEST_S:g} s and {MOST_ROWS:,} samples; after {0.5 * rows * period:.4g} s it has not",
             )  # fmt: skip
         factors = wanted(np.arange(rows, dtype=np.float64) * period)
-        begin = _Begin.of(rest, period, float(factors[0]) if rest.is_at_rest(0) else 1.0)
+        begin = _Begin.build(rest, period, float(factors[0]) if rest.is_at_rest(0) else 1.0)
         bezier = np.ascontiguousarray(rest.pieces[0])
         clocks = Clocks(bezier, np.array(rest.time), begin.points, begin.clock, begin.fade, factors)
         final = rows if not math.isfinite(final_s) else math.ceil(final_s / period)
@@ -134,7 +134,7 @@ class _Begin(NamedTuple):
     fade: FloatArray
 
     @classmethod
-    def of(cls, rest: Rows, period: float, factor: float) -> _Begin:
+    def build(cls, rest: Rows, period: float, factor: float) -> _Begin:
         """Start from the state at a motion's first sample.
 
         Args:
@@ -156,14 +156,14 @@ class _Begin(NamedTuple):
         return cls(points, clock, fade)
 
 
-def _kept(rest: Rows, robot: Robot, period: float) -> Kept:
+def _keep_or_repair(rest: Rows, robot: Robot, period: float) -> Kept:
     """Limits of a new timing: the robot's, or the motion's if higher."""
     bezier, duration = rest.pieces
     bent = accelerations(bezier, duration)
     own = np.maximum(np.abs(bent).max(axis=(0, 1)), np.abs(rest.acceleration).max(axis=0))
-    acceleration = _allowed(robot.acceleration_limit, own)
-    velocity = _allowed(robot.velocity_limit, np.abs(rest.velocity).max(axis=0))
-    torque = _allowed(robot.torque_limit, np.abs(rest.torque).max(axis=0))
+    acceleration = _usable_limits(robot.acceleration_limit, own)
+    velocity = _usable_limits(robot.velocity_limit, np.abs(rest.velocity).max(axis=0))
+    torque = _usable_limits(robot.torque_limit, np.abs(rest.torque).max(axis=0))
     jerk = np.full(robot.dof, np.inf)
     if robot.jerk_limit is not None:
         # A jump of the acceleration from one cubic to the next takes one period.
@@ -178,7 +178,7 @@ def _kept(rest: Rows, robot: Robot, period: float) -> Kept:
     return Kept(steps, torque, bodies, np.array(dynamics.model.gravity.linear))
 
 
-def _allowed(limit: FloatArray, own: FloatArray) -> FloatArray:
+def _usable_limits(limit: FloatArray, own: FloatArray) -> FloatArray:
     """(dof,) usable limits: slightly above the motion's own use, within `_MOST_SPARE`.
 
     A stop of a motion that is already a stop therefore satisfies its limits, too.
@@ -191,7 +191,7 @@ def _with_rows(
     rest: Rows, robot: Robot, period: float, clock: FloatArray, points: FloatArray
 ) -> tuple[Rows, FloatArray, FloatArray]:
     """Motion with given control points, original times, joint displacements off path."""
-    states = rows_of(points, period)
+    states = sample_spline(points, period)
     ends = zip(states, rest[1:4], (points[-1], 0.0, 0.0), strict=True)
     for values, first, last in ends:
         values[0], values[-1] = first[0], last

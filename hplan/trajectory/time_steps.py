@@ -100,19 +100,19 @@ def run_clock(clocks: Clocks, kept: Kept, period: float, final: int) -> tuple[in
         step = before
         ok = False
         for look in range(LOOKS):
-            _at(clocks, tau[i] + step, found)
+            _write_point(clocks, tau[i] + step, found)
             low, high, ahead = _interval(points, i, found, kept, period, work)
             ok = low <= high and step + high >= 0.0
             if not ok:
                 break
-            aim = _towards(before, wanted, ahead, most[i])
+            aim = _step_towards(before, wanted, ahead, most[i])
             new = min(max(aim, step + low), step + high)
             new = max(new, 0.0)
             if abs(new - step) <= 1e-9 * period and (look > 0 or new == step):
                 break
             step = new
         if ok:
-            _at(clocks, tau[i] + step, found)
+            _write_point(clocks, tau[i] + step, found)
             tau[i + 1] = tau[i] + step
             for j in range(dof):
                 points[i + 1, j] = found[0, j]
@@ -133,7 +133,7 @@ def run_clock(clocks: Clocks, kept: Kept, period: float, final: int) -> tuple[in
 
 
 @kernel
-def _towards(before: float, wanted: float, ahead: float, most: float) -> float:
+def _step_towards(before: float, wanted: float, ahead: float, most: float) -> float:
     """Next step towards a requested one, so that changes can end there.
 
     Args:
@@ -151,7 +151,7 @@ def _towards(before: float, wanted: float, ahead: float, most: float) -> float:
 
 
 @kernel
-def _at(clocks: Clocks, at: float, found: FloatArray) -> None:
+def _write_point(clocks: Clocks, at: float, found: FloatArray) -> None:
     """Write the point at a time of the motion, and its derivative."""
     bezier, time, fade = clocks.bezier, clocks.time, clocks.fade
     last = len(time) - 1

@@ -31,7 +31,7 @@ from hplan.robot.urdf_file import read_urdf
 from hplan.robot.urdf_xml import read_urdf_xml
 from hplan.trajectory import retime as timing
 from hplan.trajectory.corner_rounding import as_waypoints, rounded_path
-from hplan.trajectory.speed_profile import NO_MOTION
+from hplan.trajectory.speed_profile import EMPTY_PATH
 from hplan.trajectory.spline import SplinePath
 from hplan.trajectory.trajectory import Trajectory
 
@@ -158,7 +158,7 @@ def limits_of(
     truth("torque", torque)
     names = tuple(model.names)[1:]
 
-    def checked(what: str, values: ArrayLike) -> FloatArray:
+    def check_values(what: str, values: ArrayLike) -> FloatArray:
         try:
             array = readonly(np.broadcast_to(as_array(values).astype(np.float64), (model.nv,)))
         except (TypeError, ValueError, OverflowError) as error:
@@ -171,10 +171,10 @@ def limits_of(
         return array
 
     return Limits(
-        velocity=checked("velocity", model.velocityLimit),
-        acceleration=checked("acceleration", acceleration),
-        torque=checked("torque", model.effortLimit) if torque else None,
-        jerk=None if jerk is None else checked("jerk", jerk),
+        velocity=check_values("velocity", model.velocityLimit),
+        acceleration=check_values("acceleration", acceleration),
+        torque=check_values("torque", model.effortLimit) if torque else None,
+        jerk=None if jerk is None else check_values("jerk", jerk),
     )
 
 
@@ -261,14 +261,14 @@ def time_waypoints(
         raise JointLimitError(f"waypoint {place + 1}", names[joint], value, *ends, joint_unit(slides).position)
     points = np.clip(points, lower, upper)
     if limits.torque is not None:
-        for joint in np.flatnonzero((np.ptp(points, axis=0) >= NO_MOTION) & ~(limits.torque > 0.0)):
+        for joint in np.flatnonzero((np.ptp(points, axis=0) >= EMPTY_PATH) & ~(limits.torque > 0.0)):
             raise TimingError(
                 f"joint {names[joint]!r} must move, but its torque limit is {limits.torque[joint]:g}",
                 joint=names[joint],
                 cause="torque limit of zero",
             )
     path = rounded_path(points, deviation_rad)
-    return timing.time_path(path, model, limits.scaled(speed), rate_hz=rate_hz, grid=corner_grid(path))
+    return timing.time_path(path, model, limits.scale(speed), rate_hz=rate_hz, grid=corner_grid(path))
 
 
 def corner_grid(path: SplinePath) -> FloatArray:

@@ -26,18 +26,18 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray
 from hplan.base.kernels import kernel
-from hplan.base.lazy_import import deferred
+from hplan.base.lazy_import import defer_imports
 from hplan.errors import TimingError
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.limits import GeometricPath, Limits
 
-with deferred("matplotlib", "matplotlib.pyplot"):  # for toppra's plots only, which are not used here
+with defer_imports("matplotlib", "matplotlib.pyplot"):  # for toppra's plots only, which are not used here
     from toppra import constraint
 
 logging.getLogger("toppra").setLevel(logging.ERROR)
 
 #: Replaces a limit of zero in toppra's constraints, which only joints that do not move may have.
-_TINY = 1e-9
+_ZERO_LIMIT = 1e-9
 
 #: Constants of toppra: its bounds of u and x; its tolerances for a half-plane and for parallel lines; its weight of u
 #: in the programs of the backward pass (among points with the same x, it selects a small u); the reduction of x in each
@@ -61,7 +61,7 @@ def fastest_speed(path: GeometricPath, dynamics: InverseDynamics, limits: Limits
     # toppra's tolerances are absolute: for a path shorter than 0.01 rad, the parameter is scaled so that ds/dt is about
     # 10.
     span = float(grid[-1] - grid[0])
-    scale = 10.0 / np.sqrt(max(float(limits.acceleration.max()), _TINY) * span) if span < 0.01 else 1.0
+    scale = 10.0 / np.sqrt(max(float(limits.acceleration.max()), _ZERO_LIMIT) * span) if span < 0.01 else 1.0
     scaled = scale * grid
     rows = half_planes(PathView(path, len(limits.velocity), scale), dynamics, limits, scaled)
     speed, _, _ = passes(rows, np.diff(scaled), np.zeros(2))
@@ -102,13 +102,13 @@ def half_planes(view: PathView, dynamics: InverseDynamics, limits: Limits, grid:
     fixed[:, 0:4, 2] = bounds * (1.0, -1.0, 1.0, -1.0)
     found = [fixed]
     a, b, c = acceleration.compute_constraint_params(view, middle)[:3]
-    linear = [(a, b, c, np.maximum(limits.acceleration, _TINY))]
+    linear = [(a, b, c, np.maximum(limits.acceleration, _ZERO_LIMIT))]
     if limits.torque is not None:
         # M(q) q' u + (M(q) q'' + C(q, q') q') x + g(q), in toppra's form.
         q, still = view(middle), np.zeros_like(a)
         gravity = dynamics.torques(q, still, still)
         inertia, moving = dynamics.torques(q, still, a) - gravity, dynamics.torques(q, a, b) - gravity
-        linear.append((inertia, moving, gravity, np.maximum(limits.torque, _TINY)))
+        linear.append((inertia, moving, gravity, np.maximum(limits.torque, _ZERO_LIMIT)))
     for a, b, c, limit in linear:
         planes = np.stack([a + 2.0 * half[:, None] * b, b, c], axis=2)
         for side in (1.0, -1.0):
@@ -128,7 +128,7 @@ def _constraints(
 
     Each constructor writes a description of the limits, which is slow.
     """
-    limits = [np.maximum(np.frombuffer(each), _TINY) for each in (velocity, acceleration)]
+    limits = [np.maximum(np.frombuffer(each), _ZERO_LIMIT) for each in (velocity, acceleration)]
     collocation = constraint.DiscretizationType.Collocation
     return constraint.JointVelocityConstraint(limits[0]), constraint.JointAccelerationConstraint(limits[1], collocation)
 

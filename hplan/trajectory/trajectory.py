@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.base.arguments import instance, list_of, number, one_of, truth, whole
+from hplan.base.arguments import check_integer, instance, list_of, number, one_of, truth
 from hplan.base.arrays import FloatArray, Record, numbers
 from hplan.base.csv_file import CsvFile
 from hplan.base.files import write_text
@@ -28,7 +28,7 @@ from hplan.trajectory.cubics import (
     joined_rows,
     segments_between,
 )
-from hplan.trajectory.time_scaling import Profile, check_factors, rescaled, speed_factors
+from hplan.trajectory.time_scaling import Profile, check_factors, rescale, speed_factors
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,11 +54,11 @@ class Phase:
     start_s: float
     end_s: float
 
-    def later(self, seconds: float) -> Phase:
+    def delay(self, seconds: float) -> Phase:
         """The phase, delayed by a time [s].
 
         Examples:
-            >>> Phase("transit", 0.0, 1.0).later(2.0)
+            >>> Phase("transit", 0.0, 1.0).delay(2.0)
             Phase(name='transit', start_s=2.0, end_s=3.0)
         """
         return Phase(self.name, self.start_s + seconds, self.end_s + seconds)
@@ -88,7 +88,7 @@ class Trajectory(Record):
         <Trajectory: 2 s, 2 samples, joints q1>
         >>> motion.positions([1.0]).tolist()
         [[0.5]]
-        >>> motion.reversed.position[0].tolist()
+        >>> motion.reversal.position[0].tolist()
         [1.0]
     """
 
@@ -154,24 +154,24 @@ class Trajectory(Record):
             velocities: FloatArray = (bezier.shape[1] - 1.0) * steps / duration[[0, -1], None]
         return velocities
 
-    def _with(self, rows: Rows, takes_over_s: float | None = None) -> Trajectory:
+    def _replace_rows(self, rows: Rows, takes_over_s: float | None = None) -> Trajectory:
         return Trajectory(self.joint_names, *rows, self.slides, self.interpolation, takes_over_s)
 
     @property
-    def reversed(self) -> Trajectory:
+    def reversal(self) -> Trajectory:
         """The motion backwards.
 
         Torques are unchanged: inverse dynamics depends on the square of velocity only.
         """
         time, position, acceleration = self.time[-1] - self.time[::-1], self.position[::-1], self.acceleration[::-1]
-        return self._with(Rows(time, position, -self.velocity[::-1], acceleration, self.torque[::-1]))
+        return self._replace_rows(Rows(time, position, -self.velocity[::-1], acceleration, self.torque[::-1]))
 
     @property
     def samples(self) -> int:
         """Number of samples."""
         return len(self.time)
 
-    def since(self, row: int) -> Trajectory:
+    def cut_before(self, row: int) -> Trajectory:
         """The motion from a sample on.
 
         If it is not at rest there, it takes over from the motion that runs until then (`takes_over_s`).
@@ -182,13 +182,13 @@ class Trajectory(Record):
         Raises:
             OptionError: `row` is not the index of a sample.
         """
-        row = whole("row", row, 0, self.samples - 1)
+        row = check_integer("row", row, 0, self.samples - 1)
         if row == 0:
             return self
         begins_alone = self.takes_over_s is None and self.rows.is_at_rest(row)
-        return self._with(self.rows.since(row), None if begins_alone else 0.0)
+        return self._replace_rows(self.rows.cut_before(row), None if begins_alone else 0.0)
 
-    def until(self, row: int) -> Trajectory:
+    def cut_after(self, row: int) -> Trajectory:
         """The motion up to a sample; it need not end at rest.
 
         Args:
@@ -199,16 +199,18 @@ class Trajectory(Record):
 
         Examples:
             >>> motion = Trajectory(("q1",), [0.0, 2.0], [[0.0], [1.0]], [[0.0], [0.0]], [[0.0], [0.0]], [[0.0], [0.0]])
-            >>> motion.until(0).duration
+            >>> motion.cut_after(0).duration
             0.0
         """
-        return self._with(self.rows.until(whole("row", row, 0, self.samples - 1)), self.takes_over_s)
+        return self._replace_rows(
+            self.rows.cut_after(check_integer("row", row, 0, self.samples - 1)), self.takes_over_s
+        )
 
     def stop_at(self, t: float, robot: Robot) -> Trajectory:
         """The motion with the quickest stop on its path.
 
         The stop begins at the first sample at or after the time `t`. The arm stays on the path (to 0.1 mm), so a
-        collision-free path remains collision-free. Details: function `stopped`.
+        collision-free path remains collision-free. Details: function `stop_motion`.
 
         Args:
             t: The time, within the motion [s].
@@ -218,9 +220,9 @@ class Trajectory(Record):
             OptionError: `t` is outside the motion, or `robot` is not a robot.
             TimingError: No stop was found, and the motion does not end at rest.
         """
-        return stopped(self, t, robot).trajectory
+        return stop_motion(self, t, robot).trajectory
 
-    def scaled(self, profile: Profile, robot: Robot) -> Trajectory:
+    def scale_speed(self, profile: Profile, robot: Robot) -> Trajectory:
         """The motion at other speeds, on its path (to 0.1 mm).
 
         Args:
@@ -233,7 +235,7 @@ class Trajectory(Record):
                 factors.
             TimingError: No motion within the limits was found.
         """
-        return scaled(self, profile, robot).trajectory
+        return scale_motion(self, profile, robot).trajectory
 
     def state_at(self, t: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Reference position, velocity and acceleration at a time, each (dof,).
@@ -313,11 +315,11 @@ class Retimed(Record):
     @classmethod
     def cut(cls, trajectory: Trajectory, row: int) -> Retimed:
         """The original motion, up to a sample."""
-        kept = trajectory if row == trajectory.samples - 1 else trajectory.until(row)
+        kept = trajectory if row == trajectory.samples - 1 else trajectory.cut_after(row)
         return cls(kept, row, kept.time, np.zeros(len(trajectory.joint_names)), 0.0)
 
 
-def stopped(trajectory: Trajectory, t: float, robot: Robot) -> Retimed:
+def stop_motion(trajectory: Trajectory, t: float, robot: Robot) -> Retimed:
     """The motion with the quickest stop on its path.
 
     The stop begins at the first sample at or after the time. If the motion itself comes to rest as early, it is the
@@ -345,7 +347,7 @@ def stopped(trajectory: Trajectory, t: float, robot: Robot) -> Retimed:
         return Retimed.cut(trajectory, row)
     found = None
     if row < trajectory.samples - 1:
-        found = rescaled(rows, robot, row, np.zeros_like, final_s=0.0)
+        found = rescale(rows, robot, row, np.zeros_like, final_s=0.0)
     rests = rows.is_at_rest(-1)
     if found is not None and (not rests or found[0].duration < trajectory.duration):
         return _parted(robot, found, row, takes_over_s)
@@ -354,7 +356,7 @@ def stopped(trajectory: Trajectory, t: float, robot: Robot) -> Retimed:
     raise TimingError("no stop within the limits was found, and the motion does not end at rest", cause="no stop")
 
 
-def scaled(trajectory: Trajectory, profile: Profile, robot: Robot) -> Retimed:
+def scale_motion(trajectory: Trajectory, profile: Profile, robot: Robot) -> Retimed:
     """The motion at other speeds, on its path.
 
     Factors are followed as closely as the limits permit: a step of the factor becomes a ramp. A factor of 0 is a pause;
@@ -388,7 +390,7 @@ def scaled(trajectory: Trajectory, profile: Profile, robot: Robot) -> Retimed:
         check_factors(rows, robot, float(values.max(initial=0.0)))
         return values
 
-    found = rescaled(rows, robot, row, wanted, final_s=last_s - begin if last == 0.0 else np.inf)
+    found = rescale(rows, robot, row, wanted, final_s=last_s - begin if last == 0.0 else np.inf)
     if found is not None:
         return _parted(robot, found, row, begin if row > 0 else trajectory.takes_over_s)
     if rows.is_at_rest(-1):
@@ -416,7 +418,7 @@ def _check_kinds(trajectory: Trajectory, robot: Robot) -> None:
     """Check that a trajectory consists of cubics and has a robot's joints."""
     instance("trajectory", trajectory, Trajectory, "plan or read_csv")
     instance("robot", robot, Robot, "load_robot")
-    check_joints(trajectory, robot)
+    check_trajectory_joints(trajectory, robot)
     if trajectory.interpolation != "cubic":
         raise InputError(
             f"stops and other speeds require cubic interpolation; this one is {trajectory.interpolation} between its "
@@ -426,7 +428,7 @@ def _check_kinds(trajectory: Trajectory, robot: Robot) -> None:
         )
 
 
-def check_joints(trajectory: Trajectory, robot: Robot) -> None:
+def check_trajectory_joints(trajectory: Trajectory, robot: Robot) -> None:
     """Check that a trajectory has a robot's joints and units.
 
     Raises:
@@ -460,7 +462,7 @@ def check_units(slides: Mapping[str, bool], robot: Robot) -> None:
             )
 
 
-def joined(parts: Sequence[Trajectory]) -> Trajectory:
+def join_trajectories(parts: Sequence[Trajectory]) -> Trajectory:
     """Concatenate motions; each must start where its predecessor ends.
 
     Position and velocity must match.
@@ -471,7 +473,7 @@ def joined(parts: Sequence[Trajectory]) -> Trajectory:
 
     Examples:
         >>> motion = Trajectory(("q1",), [0.0, 2.0], [[0.0], [1.0]], [[0.0], [0.0]], [[0.0], [0.0]], [[0.0], [0.0]])
-        >>> joined([motion, motion.reversed]).duration
+        >>> join_trajectories([motion, motion.reversal]).duration
         4.0
     """
     parts = list_of("parts", parts, Trajectory, "trajectories")
@@ -564,7 +566,7 @@ def write_csv(trajectory: Trajectory, path: Path | str, robot: Robot | None = No
         )
     if robot is not None:
         instance("robot", robot, Robot, "load_robot")
-        check_joints(trajectory, robot)
+        check_trajectory_joints(trajectory, robot)
         trajectory = replace(trajectory, slides=robot.slides)
     return write_text(path, csv_text(trajectory))
 

@@ -49,10 +49,10 @@ from hplan.robot.several import joined_robots
 from hplan.scene.cell import ArmLink, CellRobot, CellScene
 from hplan.scene.file import read_model
 from hplan.scene.model import Goal, Scene, Start
-from hplan.scene.obstacle_kind import moved
+from hplan.scene.obstacle_kind import transform_fields
 from hplan.scene.obstacles import AnyObstacle, Capsule, Mesh, Sphere
 from hplan.trajectory.cubics import Rows, evaluate
-from hplan.trajectory.trajectory import Retimed, Trajectory, stopped
+from hplan.trajectory.trajectory import Retimed, Trajectory, stop_motion
 
 #: How the motions of a workcell were found.
 How = Literal["at once", "one later", "around each other"]
@@ -98,7 +98,7 @@ class CellArm(Record):
         """The tool frame's name in the workcell's robot."""
         return self.prefix + self.robot.tool_frame
 
-    def starting(self, q: FloatArray) -> CellArm:
+    def start_at(self, q: FloatArray) -> CellArm:
         """The arm with another (dof,) start configuration."""
         return replace(self, scene=self.scene.copy_unchecked({"start": Start(joints_rad=tuple(q.tolist()))}))
 
@@ -118,7 +118,7 @@ class Cell(Record):
         >>> robot, task = load_robot(), load_scene()
         >>> left = CellRobot(name="left", robot=robot.name, position=(0, 3, 0), start=task.start, goal=task.goal)
         >>> right = CellRobot(name="right", robot=robot.name, position=(0, -3, 0), start=task.start)
-        >>> cell = Cell.of(CellScene(name="pair", robots=(left, right)), {"left": robot, "right": robot})
+        >>> cell = Cell.from_robots(CellScene(name="pair", robots=(left, right)), {"left": robot, "right": robot})
         >>> cell.robot.dof, [arm.is_waiting for arm in cell.arms]
         (8, [False, True])
     """
@@ -128,7 +128,7 @@ class Cell(Record):
     arms: tuple[CellArm, ...]
 
     @classmethod
-    def of(cls, scene: CellScene, robots: Mapping[str, Robot]) -> Cell:
+    def from_robots(cls, scene: CellScene, robots: Mapping[str, Robot]) -> Cell:
         """The workcell of robots that are already loaded.
 
         Args:
@@ -143,11 +143,11 @@ class Cell(Record):
         for arm in scene.robots:
             if not isinstance(robots.get(arm.name), Robot):
                 raise InputError(f"robots: there is no robot for arm {arm.name!r}", robot=arm.name)
-        placed = {arm.name: (robots[arm.name], _placement(arm)) for arm in scene.robots}
+        placed = {arm.name: (robots[arm.name], _base_placement(arm)) for arm in scene.robots}
         key = tuple((name, robot, place.homogeneous.tobytes()) for name, (robot, place) in placed.items())
         declared = [(first, second, BY_SCENE) for first, second in scene.may_touch]
         # Cached with the first robot, so that the next task of the same arms starts sooner.
-        whole = key[0][1].cached(("cell", scene.may_touch, *key), lambda: joined_robots(placed, may_touch=declared))
+        whole = key[0][1].cache(("cell", scene.may_touch, *key), lambda: joined_robots(placed, may_touch=declared))
         return cls(scene, whole, tuple(_arm(scene, arm, *placed[arm.name], whole) for arm in scene.robots))
 
     def arm(self, name: str) -> CellArm:
@@ -165,15 +165,15 @@ class Cell(Record):
         """The name of the arm that has a link, or None."""
         return self.robot.owner_of(link)
 
-    def blocking(self, obstacle: str | None) -> str | None:
-        """The arm that an obstacle represents (`standing`); None for other obstacles."""
+    def arm_behind(self, obstacle: str | None) -> str | None:
+        """The arm that an obstacle represents (`iterate_standing`); None for other obstacles."""
         bodies = collision_bodies(self.robot)
         found = (body for number, body in enumerate(bodies) if obstacle == _standing_name(body, number))
         return next((self.owner(body.name) for body in found), None)
 
-    def starting(self, q: Mapping[str, FloatArray]) -> Cell:
+    def start_at(self, q: Mapping[str, FloatArray]) -> Cell:
         """The workcell with other (dof,) start configurations of some arms, by name."""
-        arms = tuple(arm.starting(q[arm.name]) if arm.name in q else arm for arm in self.arms)
+        arms = tuple(arm.start_at(q[arm.name]) if arm.name in q else arm for arm in self.arms)
         return replace(self, arms=arms)
 
     def with_goal(self, name: str, goal: Goal) -> Cell:
@@ -209,7 +209,7 @@ class Cell(Record):
         found = self.scene.task(Goal(joints_rad=tuple(goal.tolist())), Start(joints_rad=tuple(begin.tolist())))
         return found if obstacles else found.copy_unchecked({"obstacles": (), "fruits": ()})
 
-    def together(self, motions: Mapping[str, Trajectory]) -> Trajectory:
+    def join_motions(self, motions: Mapping[str, Trajectory]) -> Trajectory:
         """Join the arms' motions into one motion of all joints.
 
         An arm without a motion stays at its start; after its motion an arm stays at the end.
@@ -266,7 +266,7 @@ class Cell(Record):
                 into[:, columns] = values
         return q, v, a
 
-    def apart(self, motion: Trajectory) -> dict[str, Trajectory]:
+    def split_motion(self, motion: Trajectory) -> dict[str, Trajectory]:
         """The motion of each arm, by name, in its own joints.
 
         Raises:
@@ -351,7 +351,7 @@ class CellResult(Record, InNotebook):
     @cached_property
     def trajectories(self) -> dict[str, Trajectory]:
         """The motion of each arm, by name, on one common clock."""
-        return self.cell.apart(self.trajectory)
+        return self.cell.split_motion(self.trajectory)
 
     def stop_at(self, t: float, arm: str | None = None) -> CellResult:
         """The motion with a stop of one arm or all arms.
@@ -370,19 +370,21 @@ class CellResult(Record, InNotebook):
             TimingError: No stop was found.
         """
         if arm is not None:
-            own = stopped(self.trajectories[self.cell.arm(arm).name], t, self.cell.arm(arm).robot)
-            motion = self.cell.together({**self.trajectories, arm: own.trajectory})
-            found = self._stopped(motion, {arm: own}, (arm,))
+            own = stop_motion(self.trajectories[self.cell.arm(arm).name], t, self.cell.arm(arm).robot)
+            motion = self.cell.join_motions({**self.trajectories, arm: own.trajectory})
+            found = self._with_stops(motion, {arm: own}, (arm,))
             if found.certificate.verified:
                 return found
-        whole = stopped(self.trajectory, t, self.cell.robot)
+        whole = stop_motion(self.trajectory, t, self.cell.robot)
         names = tuple(each.name for each in self.cell.arms if not each.is_waiting)
-        return self._stopped(whole.trajectory, dict.fromkeys(names, whole), names)
+        return self._with_stops(whole.trajectory, dict.fromkeys(names, whole), names)
 
-    def _stopped(self, motion: Trajectory, stops: Mapping[str, Retimed], names: tuple[str, ...]) -> CellResult:
-        return replace(self.running(self.cell, motion, stops, check_ends=False), stopped=names)
+    def _with_stops(self, motion: Trajectory, stops: Mapping[str, Retimed], names: tuple[str, ...]) -> CellResult:
+        return replace(self.with_motion(self.cell, motion, stops, check_ends=False), stopped=names)
 
-    def running(self, cell: Cell, motion: Trajectory, stops: Mapping[str, Retimed], *, check_ends: bool) -> CellResult:
+    def with_motion(
+        self, cell: Cell, motion: Trajectory, stops: Mapping[str, Retimed], *, check_ends: bool
+    ) -> CellResult:
         """Another motion that starts like this one, with its certificate.
 
         Args:
@@ -441,7 +443,7 @@ def load_cell(path: Path | str) -> Cell:
         hplan.errors.bad_input.SceneError: scene file missing.yaml: No such file or directory
     """
     scene, folder = read_model(CellScene, file_path("path", path)), Path(path).parent
-    return Cell.of(scene, {arm.name: _loaded(arm, folder) for arm in scene.robots})
+    return Cell.from_robots(scene, {arm.name: _load_arm(arm, folder) for arm in scene.robots})
 
 
 def certify_cell(
@@ -460,7 +462,7 @@ def certify_cell(
 
     Args:
         cell: The arms and their tasks, from `load_cell`.
-        motion: A motion of all joints (`Cell.together`), or the motion of each arm by name, all with the same start
+        motion: A motion of all joints (`Cell.join_motions`), or the motion of each arm by name, all with the same start
             time. An arm without a motion stays at its start.
         options: Tracking error and delay, for every arm, and `sigmas`.
         goal_contact: For each arm, by name, when it may touch its fruit, as in `certify`.
@@ -477,8 +479,8 @@ def certify_cell(
         >>> robot, task = load_robot(), load_scene()
         >>> left = CellRobot(name="left", robot=robot.name, position=(0, 3, 0), start=task.start)
         >>> right = CellRobot(name="right", robot=robot.name, position=(0, -3, 0), start=task.start)
-        >>> cell = Cell.of(CellScene(name="pair", robots=(left, right)), {"left": robot, "right": robot})
-        >>> certificate = certify_cell(cell, cell.together({}))  # both arms at rest
+        >>> cell = Cell.from_robots(CellScene(name="pair", robots=(left, right)), {"left": robot, "right": robot})
+        >>> certificate = certify_cell(cell, cell.join_motions({}))  # both arms at rest
         >>> certificate.verified
         True
     """
@@ -486,7 +488,7 @@ def certify_cell(
     options = PlanOptions() if options is None else instance("options", options, PlanOptions)
     options.refuse_risk()
     if isinstance(motion, Trajectory):
-        files = cell.apart(motion)
+        files = cell.split_motion(motion)
     elif isinstance(motion, Mapping) and motion:
         files = {name: cell.own_motion(name, own) for name, own in motion.items()}
     else:
@@ -504,7 +506,7 @@ def certify_cell(
         contact, windows = (goal_contact or {}).get(arm.name, "approach"), (contacts or {}).get(arm.name, ())
         own = certify(
             arm.robot, arm.scene, files[arm.name],
-            goal_contact=contact, contacts=windows, check_ends=check_ends, **_covered(options),
+            goal_contact=contact, contacts=windows, check_ends=check_ends, **_certify_arguments(options),
         )  # fmt: skip
         arms[arm.name] = with_violations(own, _meetings_at_rest(own, files[arm.name].duration, end_s))
     return CellCertificate(certify_between(cell, files, options), arms, cell.scene.may_touch)
@@ -545,7 +547,7 @@ def certify_between(cell: Cell, files: Mapping[str, Trajectory], options: PlanOp
     )
     return replace(
         with_violations(found, _not_compared(files, states, moving, (known_s, end_s))),
-        digests=Digests.of(cell.robot, alone, motion),
+        digests=Digests.compute(cell.robot, alone, motion),
     )
 
 
@@ -623,18 +625,18 @@ def check_options(options: PlanOptions, what: str) -> None:
         raise OptionError("certify", options.certify, f"True: {what} are always certified")
 
 
-def _covered(options: PlanOptions) -> dict[str, Any]:
+def _certify_arguments(options: PlanOptions) -> dict[str, Any]:
     """The arguments of `certify` that the options determine."""
     return {key: getattr(options, key) for key in ("tracking_error", "tracking_delay_s", "sigmas")}
 
 
-def between(cell: Cell, q: FloatArray, name: str, others: Collection[str]) -> FloatArray:
+def distances_between(cell: Cell, q: FloatArray, name: str, others: Collection[str]) -> FloatArray:
     """(n,) minimum distance of an arm from others [m].
 
     `q` has (n, dof) configurations of all joints; inf without a pair of bodies.
     """
-    field = cell.robot.cached(("between", name, frozenset(others)), lambda: _field_between(cell, name, others))
-    pairs = field.along(q)[:, len(field.arm.bodies) :]
+    field = cell.robot.cache(("between", name, frozenset(others)), lambda: _field_between(cell, name, others))
+    pairs = field.clearance_along(q)[:, len(field.arm.bodies) :]
     least: FloatArray = pairs.min(axis=1, initial=math.inf)
     return least
 
@@ -645,13 +647,13 @@ def _field_between(cell: Cell, name: str, others: Collection[str]) -> ClearanceF
     arms = [cell.owner(body.name) for body in bodies]
     pairs: list[set[str | None]] = [{name, other} for other in others]
     asked = [{arms[i], arms[j]} in pairs for i, j in self_pairs(cell.robot).checked]
-    field = ClearanceField.of(cell.robot, [])
+    field = ClearanceField.build(cell.robot, [])
     chosen = np.zeros(len(field.arm.pairs), dtype=np.bool_)
     chosen[: len(asked)] = asked
     return replace(field, arm=field.arm.with_pairs(chosen))
 
 
-def standing(cell: Cell, name: str, thicker: float) -> Iterator[AnyObstacle]:
+def iterate_standing(cell: Cell, name: str, thicker: float) -> Iterator[AnyObstacle]:
     """The other arms at their starts, as obstacles for one arm.
 
     They are in that arm's frame and grown by `thicker` [m]. Links that may touch a link of that arm are left out.
@@ -661,11 +663,11 @@ def standing(cell: Cell, name: str, thicker: float) -> Iterator[AnyObstacle]:
     robot, base = cell.robot, cell.arm(name).base
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, cell.configuration({}))
-    solids = robot.cached(("solids", thicker), lambda: _solids(robot, thicker))
+    solids = robot.cache(("solids", thicker), lambda: _solids(robot, thicker))
     for body, solid in zip(collision_bodies(robot), solids, strict=True):
         if cell.owner(body.name) != name and body.name not in beside:
             place = base.actInv(data.oMi[body.joint + 1])
-            yield solid.copy_unchecked(moved(solid, place.rotation, place.translation))
+            yield solid.copy_unchecked(transform_fields(solid, place.rotation, place.translation))
 
 
 def _states(rows: Rows, clock: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -718,7 +720,7 @@ def _solids(robot: Robot, thicker: float) -> list[AnyObstacle]:
             found.append(Capsule(name=name, start=tuple(start), end=tuple(others[0]), radius=radius))
         else:
             hull = whole_hull((body.core[:, None] + radius * CUBE_CORNERS).reshape(-1, 3))
-            found.append(Mesh.of(name, hull.core, hull.faces))
+            found.append(Mesh.from_arrays(name, hull.core, hull.faces))
     return found
 
 
@@ -745,14 +747,14 @@ def _seen_from(base: pin.SE3, task: Scene) -> Scene:
     if base.isIdentity(0.0):
         return task
     yaw = math.atan2(base.rotation[1, 0], base.rotation[0, 0])
-    return task.shifted(-base.rotation.T @ base.translation, -math.degrees(yaw))
+    return task.shift(-base.rotation.T @ base.translation, -math.degrees(yaw))
 
 
-def _placement(arm: CellRobot) -> pin.SE3:
+def _base_placement(arm: CellRobot) -> pin.SE3:
     return pin.SE3(rpy_rotation(*np.radians(arm.rpy_deg)), np.array(arm.position))
 
 
-def _loaded(arm: CellRobot, folder: Path) -> Robot:
+def _load_arm(arm: CellRobot, folder: Path) -> Robot:
     """Load the robot that a scene names."""
     beside = None if arm.robot is None else folder / arm.robot
     limits = None if arm.limits is None else folder / arm.limits

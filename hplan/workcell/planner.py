@@ -43,8 +43,8 @@ from hplan.planning.result import PlanResult
 from hplan.planning.stages import Progress, no_progress
 from hplan.planning.world import check_clear
 from hplan.scene.model import Goal, Scene
-from hplan.trajectory.trajectory import Trajectory, joined, stopped
-from hplan.workcell.cell import Cell, CellResult, How, between, certify_cell, check_options, standing
+from hplan.trajectory.trajectory import Trajectory, join_trajectories, stop_motion
+from hplan.workcell.cell import Cell, CellResult, How, certify_cell, check_options, distances_between, iterate_standing
 from hplan.workcell.timetable import SPARES, Timetable
 
 #: Maximum number of orders to certify, fastest first.
@@ -97,7 +97,7 @@ def plan_cell(
         >>> robot, task = load_robot(), load_scene()
         >>> left = CellRobot(name="left", robot=robot.name, position=(0, 3, 0), start=task.start, goal=task.goal)
         >>> right = CellRobot(name="right", robot=robot.name, position=(0, -3, 0), start=task.start)
-        >>> cell = Cell.of(CellScene(name="pair", robots=(left, right)), {"left": robot, "right": robot})
+        >>> cell = Cell.from_robots(CellScene(name="pair", robots=(left, right)), {"left": robot, "right": robot})
         >>> result = plan_cell(cell, PlanOptions(effort="quick"))
         >>> result.how, result.certificate.verified
         ('at once', True)
@@ -145,8 +145,8 @@ def replan_cell(
     instance("result", result, CellResult, "plan_cell")
     cell = result.cell if goal is None else result.cell.with_goal(arm, instance("goal", goal, Goal))
     mover, options, running = cell.arm(arm), result.options, result.trajectories
-    stop = stopped(running[arm], t, mover.robot)
-    there = cell.starting({name: motion.position[-1] for name, motion in (running | {arm: stop.trajectory}).items()})
+    stop = stop_motion(running[arm], t, mover.robot)
+    there = cell.start_at({name: motion.position[-1] for name, motion in (running | {arm: stop.trajectory}).items()})
     with time_limit(options.deadline_s, cancel) as limit:
         try:
             motion = _to_goal(there, arm, options)
@@ -156,7 +156,7 @@ def replan_cell(
                     table.run(name, stop.trajectory if name == arm else own)
                 if not table.set_out(arm, motion):
                     continue
-                found = result.running(cell, cell.together(table.motions), {arm: stop}, check_ends=True)
+                found = result.with_motion(cell, cell.join_motions(table.motions), {arm: stop}, check_ends=True)
                 if found.certificate.verified:
                     return replace(found, later_s=result.later_s, stopped=())
         except HplanError as error:
@@ -188,31 +188,33 @@ class _CellPlanner:
         # Stop the search at a motion within 2 % of the longest motion alone.
         enough = 1.02 * max(motion.duration for motion in motions.values())
         self._progress("together")
-        found = self._scheduled(cell, _orders(motions))
+        found = self._schedule(cell, _orders(motions))
         if found is None and len(cell.arms) > 1:
             self._progress("one after the other")
             legs = self._in_turn(motions)
             spares = () if legs is None else (*SPARES, math.inf)
-            found = self._certified(cell, (_filled(cell, self._options, legs or (), spare) for spare in spares))
+            found = self._certify_first(
+                cell, (_fill_timetable(cell, self._options, legs or (), spare) for spare in spares)
+            )
         if found is not None and (found.trajectory.duration <= enough or len(motions) > _ALL_ORDERS):
             return found
         if found is None and len(motions) > _ALL_ORDERS:
             raise NotFoundError(_WAYS)
         self._progress("around each other")
         try:
-            around = self._around(found)
+            around = self._plan_together(found)
         except PlanCancelledError:
             raise
         except (HplanError, TimeIsUpError) as error:
             if found is None:
-                raise (self._told(error) if isinstance(error, HplanError) else error) from error
+                raise (self._translate(error) if isinstance(error, HplanError) else error) from error
             around = None
         each = [result for result in (found, around) if result is not None]
         if not each:
             raise NotFoundError(_WAYS)
         return min(each, key=lambda result: round(result.trajectory.duration, 6))
 
-    def _told(self, error: HplanError) -> HplanError:
+    def _translate(self, error: HplanError) -> HplanError:
         """Translate an error of the joined robot for the workcell."""
         if isinstance(error, NotFoundError) and not isinstance(error, NotInTimeError):
             return NotFoundError([*_WAYS, *error.tried])
@@ -223,12 +225,12 @@ class _CellPlanner:
             return NotFoundError([*_WAYS, grasps])
         return error
 
-    def _checked(self, motion: Trajectory, how: How, later_s: Mapping[str, float]) -> CellResult:
+    def _check(self, motion: Trajectory, how: How, later_s: Mapping[str, float]) -> CellResult:
         contact = {name: result.certificate.goal_contact or "approach" for name, result in self._alone.items()}
         certificate = certify_cell(self._cell, motion, self._options, goal_contact=contact)
         return CellResult(self._cell, motion, certificate, how, self._alone, later_s, self._options)
 
-    def _scheduled(self, cell: Cell, orders: Iterable[Legs], before: Trajectory | None = None) -> CellResult | None:
+    def _schedule(self, cell: Cell, orders: Iterable[Legs], before: Trajectory | None = None) -> CellResult | None:
         """The certified schedule that finishes first, or None.
 
         Args:
@@ -238,7 +240,7 @@ class _CellPlanner:
         """
         soonest: dict[tuple[float, ...], tuple[Legs, Timetable]] = {}
         for legs in orders:
-            table = _filled(cell, self._options, legs, SPARES[0])
+            table = _fill_timetable(cell, self._options, legs, SPARES[0])
             if table is not None:
                 begins = tuple(table.begins_s[name] for name in sorted(table.begins_s))
                 soonest.setdefault(begins, (legs, table))
@@ -246,30 +248,30 @@ class _CellPlanner:
                     break
         for begins in sorted(soonest, key=lambda begins: (round(soonest[begins][1].duration, 6), begins))[:_TRIED]:
             legs, table = soonest[begins]
-            wider = (_filled(cell, self._options, legs, spare) for spare in SPARES[1:])
-            found = self._certified(cell, itertools.chain([table], wider), before)
+            wider = (_fill_timetable(cell, self._options, legs, spare) for spare in SPARES[1:])
+            found = self._certify_first(cell, itertools.chain([table], wider), before)
             if found is not None:
                 return found
         return None
 
-    def _certified(
+    def _certify_first(
         self, cell: Cell, tables: Iterable[Timetable | None], before: Trajectory | None = None
     ) -> CellResult | None:
         """The motion of the first timetable that is certified, or None."""
         own = {id(result.trajectory) for result in self._alone.values()}
         for table in filter(None, tables):
-            motion, later = cell.together(table.motions), table.begins_s
+            motion, later = cell.join_motions(table.motions), table.begins_s
             how: How = "one later" if any(later.values()) else "at once"
             if before is not None:
-                motion = joined([before, motion])
+                motion = join_trajectories([before, motion])
             if before is not None or not all(id(leg) in own for legs in table.legs.values() for _, leg in legs):
                 how = "around each other"
-            result = self._checked(motion, how, later)
+            result = self._check(motion, how, later)
             if result.certificate.verified:
                 return result
         return None
 
-    def _around(self, found: CellResult | None) -> CellResult | None:
+    def _plan_together(self, found: CellResult | None) -> CellResult | None:
         """A motion of all joints together; None if it is not certified.
 
         It leads to the goals, or to the stand-offs of the grasps; the approaches follow.
@@ -292,12 +294,12 @@ class _CellPlanner:
                     transit = finish(cell.robot, task, found.trajectory.positions(clock), self._options)
                 except (PathInContactError, CertificationError, TimingError):
                     return None  # segments between the samples are not clear
-            result = self._checked(transit.trajectory, "around each other", {})
+            result = self._check(transit.trajectory, "around each other", {})
             return result if result.certificate.verified else None
-        transit, there = plan(cell.robot, task, self._options), cell.starting(ends)
+        transit, there = plan(cell.robot, task, self._options), cell.start_at(ends)
         approaches = ((name, there.arm(name)) for name in reached)
         motions = {name: plan(arm.robot, arm.scene, self._options).trajectory for name, arm in approaches}
-        return self._scheduled(there, _orders(motions), transit.trajectory)
+        return self._schedule(there, _orders(motions), transit.trajectory)
 
     def _in_turn(self, alone: Mapping[str, Trajectory]) -> list[tuple[str, Trajectory]] | None:
         """Motions of one arm after another, among arms at rest, or None.
@@ -309,7 +311,7 @@ class _CellPlanner:
         waiting, put_behind, put_off = _likely_order(self._cell, alone), set[tuple[str, str]](), 0
         while waiting:
             name = waiting.pop(0)
-            there = self._cell.starting({done: motion.position[-1] for done, motion in legs})
+            there = self._cell.start_at({done: motion.position[-1] for done, motion in legs})
             try:
                 own = self._own(there, name, alone) if name not in dict(legs) else None
                 motion = _to_goal(there, name, self._options) if own is None else own
@@ -317,7 +319,7 @@ class _CellPlanner:
                 raise
             except HplanError as error:
                 met = error.obstacle if isinstance(error, ConfigurationInCollisionError) else None
-                owner = self._cell.blocking(met)
+                owner = self._cell.arm_behind(met)
                 blocking = owner if owner in alone else None
             else:
                 legs.append((name, motion))
@@ -329,7 +331,7 @@ class _CellPlanner:
             elif blocking is not None and len(legs) < 3 * len(alone):  # limits how often arms move aside
                 pairs = [(blocking, name), *([(name, blocking)] if blocking in waiting else [])]
                 for mover, other in pairs:
-                    aside = self._aside(there, mover, other, alone[other].position[-1])
+                    aside = self._move_aside(there, mover, other, alone[other].position[-1])
                     if aside is not None:
                         legs.append((mover, aside))
                         waiting = [other, *(each for each in waiting if each not in (mover, other)), mover]
@@ -348,23 +350,23 @@ class _CellPlanner:
         table = Timetable(there, self._options, SPARES[0])
         return alone[name] if table.set_out(name, alone[name]) else None
 
-    def _aside(self, there: Cell, name: str, other: str, goal: FloatArray) -> Trajectory | None:
+    def _move_aside(self, there: Cell, name: str, other: str, goal: FloatArray) -> Trajectory | None:
         """Move an arm to the nearest configuration that clears the others.
 
         It keeps clear of `other` at its goal, too. None if no such motion is found.
         """
         arm, chance = there.arm(name), np.random.default_rng(0)
         task = there.task(there.configuration({}))
-        field = ClearanceField.of(there.robot, task.listed_solids, clearance=task.clearance)
+        field = ClearanceField.build(there.robot, task.listed_solids, clearance=task.clearance)
         q = there.configuration({})
-        enough = np.minimum(2.0 * _THICKER, 0.5 * field.along(q[None]))  # closer pairs may stay as close
+        enough = np.minimum(2.0 * _THICKER, 0.5 * field.clearance_along(q[None]))  # closer pairs may stay as close
         for far in _ASIDE:
             places = q[arm.joints] + far * chance.uniform(-1.0, 1.0, (_PLACES, arm.robot.dof))
             places = np.clip(places, arm.robot.lower, arm.robot.upper)
             whole = np.tile(q, (2 * _PLACES, 1))
             whole[:, arm.joints] = np.tile(places, (2, 1))
             whole[_PLACES:, there.arm(other).joints] = goal
-            clear = (field.along(whole) > enough).all(axis=1).reshape(2, -1).all(axis=0)
+            clear = (field.clearance_along(whole) > enough).all(axis=1).reshape(2, -1).all(axis=0)
             away = np.round(np.abs(places - q[arm.joints]).sum(axis=1), 6)
             for place in sorted(np.flatnonzero(clear).tolist(), key=lambda each: (away[each], each))[:_TRIED]:
                 try:
@@ -397,13 +399,13 @@ def _to_goal(there: Cell, name: str, options: PlanOptions, goal: Goal | None = N
     scene = arm.scene if goal is None else arm.scene.copy_unchecked({"goal": goal})
     options = replace(options, effort="quick", deadline_s=None)
 
-    def among(thicker: float) -> Scene:
-        return scene.copy_unchecked({"obstacles": (*scene.obstacles, *standing(there, name, thicker))})
+    def scene_among(thicker: float) -> Scene:
+        return scene.copy_unchecked({"obstacles": (*scene.obstacles, *iterate_standing(there, name, thicker))})
 
     try:
-        return plan(arm.robot, among(_THICKER), options).trajectory
+        return plan(arm.robot, scene_among(_THICKER), options).trajectory
     except ConfigurationInCollisionError:
-        return plan(arm.robot, among(0.0), options).trajectory
+        return plan(arm.robot, scene_among(0.0), options).trajectory
 
 
 def _orders(motions: Mapping[str, Trajectory]) -> Iterator[Legs]:
@@ -415,7 +417,7 @@ def _orders(motions: Mapping[str, Trajectory]) -> Iterator[Legs]:
     return ([(name, motions[name]) for name in order] for order in orders)
 
 
-def _filled(cell: Cell, options: PlanOptions, legs: Legs, spare: float) -> Timetable | None:
+def _fill_timetable(cell: Cell, options: PlanOptions, legs: Legs, spare: float) -> Timetable | None:
     """The timetable of motions in an order; None if infeasible."""
     table = Timetable(cell, options, spare)
     return table if all(table.set_out(name, motion) for name, motion in legs) else None
@@ -432,7 +434,7 @@ def _likely_order(cell: Cell, motions: Mapping[str, Trajectory]) -> list[str]:
 
     def meet(first: str, path: FloatArray, second: str, place: FloatArray) -> int:
         q = cell.configuration({first: path, second: place})
-        return int((between(cell, q, first, (second,)) <= cell.scene.clearance + _THICKER).any())
+        return int((distances_between(cell, q, first, (second,)) <= cell.scene.clearance + _THICKER).any())
 
     #: Cost of running the first of two arms before the second: contacts at its goal weigh more than contacts of a path.
     cost = {

@@ -13,8 +13,8 @@ from hplan.base.deadline import check_deadline
 from hplan.base.kernels import kernel
 from hplan.planning.options import PlanOptions
 from hplan.trajectory.cubics import Rows
-from hplan.trajectory.trajectory import Trajectory, joined
-from hplan.workcell.cell import Cell, between
+from hplan.trajectory.trajectory import Trajectory, join_trajectories
+from hplan.workcell.cell import Cell, distances_between
 
 #: Sampling strides for distance queries, coarse first, until a pair is too close.
 _COARSE: Final = (32, 4, 1)
@@ -63,23 +63,23 @@ class Timetable:
     @property
     def motions(self) -> dict[str, Trajectory]:
         """The motion of each arm that moves, from the common start on."""
-        return {name: self._joined(name) for name, legs in self.legs.items() if legs}
+        return {name: self._join(name) for name, legs in self.legs.items() if legs}
 
-    def _joined(self, name: str) -> Trajectory:
+    def _join(self, name: str) -> Trajectory:
         parts, now = [], 0.0
         for begin, motion in self.legs[name]:
             if begin > now + 1e-9:
-                parts.append(_standing(motion, begin - now))
+                parts.append(_rest_motion(motion, begin - now))
             parts.append(motion)
             now = begin + motion.duration
-        return joined(parts) if len(parts) > 1 else parts[0]
+        return join_trajectories(parts) if len(parts) > 1 else parts[0]
 
     def run(self, name: str, motion: Trajectory) -> None:
         """Let an arm run a motion from the start, without distance queries."""
-        self.places[name] = self._sampled(motion)
+        self.places[name] = self._sample(motion)
         self.legs[name].append((0.0, motion))
 
-    def _sampled(self, motion: Trajectory) -> FloatArray:
+    def _sample(self, motion: Trajectory) -> FloatArray:
         count = max(1, math.ceil(motion.duration / self._step - 1e-9))
         return motion.positions(np.minimum(np.arange(count + 1) * self._step, motion.duration))
 
@@ -111,7 +111,7 @@ class Timetable:
         arms = sorted(motions, key=lambda name: -sum(motion.duration for motion in motions[name]))
         ends, rests, places = dict[str, list[int]](), dict[str, BoolArray](), dict[str, FloatArray]()
         for name in arms:
-            whole = joined(motions[name])
+            whole = join_trajectories(motions[name])
             done = np.rint(np.cumsum([motion.duration for motion in motions[name]]) / step).astype(int)
             ends[name] = [0, *done.tolist()]
             places[name] = whole.positions(np.linspace(0.0, whole.duration, done[-1] + 1))
@@ -119,9 +119,11 @@ class Timetable:
         for more in beyond:
             at = {arms[0]: np.arange(len(places[arms[0]]))}
             for name in arms[1:]:
-                apart = np.min([self._apart(other, name, places, known, backward)[at[other]] for other in at], axis=0)
+                apart = np.min(
+                    [self._cached_distances(other, name, places, known, backward)[at[other]] for other in at], axis=0
+                )
                 still = np.all([rests[other][at[other]] for other in at], axis=0)
-                way = _soonest(apart > self._least + more, still, rests[name])
+                way = _fastest_progress(apart > self._least + more, still, rests[name])
                 at = {other: at[other][way[:, 0]] for other in at} | {name: way[:, 1]}
             if not 0.0 <= (len(at[arms[0]]) - 1) * step < sooner_than:
                 continue
@@ -133,14 +135,14 @@ class Timetable:
                     begin += waits * self._step
                     self.legs[name].append((begin, motion))
                     begin += motion.duration
-                    own += [np.repeat(own[-1][-1:], waits, axis=0), self._sampled(motion)[1:]]
+                    own += [np.repeat(own[-1][-1:], waits, axis=0), self._sample(motion)[1:]]
                 self.places[name] = np.concatenate(own)
             if all(self._is_clear(name, self.places[name], 0) for name in arms):
                 return True
             self.places, self.legs = start, {name: [] for name in self.legs}
         return False
 
-    def _apart(
+    def _cached_distances(
         self, first: str, name: str, places: Mapping[str, FloatArray], known: dict[tuple[str, str], FloatArray],
         backward: Collection[str],
     ) -> FloatArray:  # fmt: skip
@@ -160,21 +162,21 @@ class Timetable:
         """
         n, m = len(places[first]), len(places[name])
 
-        def apart(i: IntArray, j: IntArray) -> FloatArray:
+        def distances_of(i: IntArray, j: IntArray) -> FloatArray:
             q = self._cell.configuration({first: places[first][i], name: places[name][j]})
-            return between(self._cell, q, name, [first])
+            return distances_between(self._cell, q, name, [first])
 
         # Query the centers of blocks of this size first: a block whose center is this far apart is far apart as a whole
         # [m].
         size, far = 4, 0.3
         i, j = np.meshgrid(np.arange(0, n, size), np.arange(0, m, size), indexing="ij")
-        middle = apart(np.minimum(i + size // 2, n - 1).ravel(), np.minimum(j + size // 2, m - 1).ravel())
+        middle = distances_of(np.minimum(i + size // 2, n - 1).ravel(), np.minimum(j + size // 2, m - 1).ravel())
         near = np.kron((middle <= far).reshape(i.shape), np.ones((size, size), dtype=np.bool_))[:n, :m]
         found = np.full((n, m), math.inf)
         for begin in range(0, n, 64):  # bounds the memory for tours of any length
             check_deadline()
             rows, columns = np.nonzero(near[begin : begin + 64])
-            found[rows + begin, columns] = apart(rows + begin, columns)
+            found[rows + begin, columns] = distances_of(rows + begin, columns)
         return found
 
     def set_out(self, name: str, motion: Trajectory) -> bool:
@@ -184,7 +186,7 @@ class Timetable:
             False if there is no feasible start time.
         """
         own = self.places[name]
-        moving = self._sampled(motion)[1:]
+        moving = self._sample(motion)[1:]
         last = max(map(len, self.places.values()))
         one_by_one = math.isinf(self._least)
         # Number of samples between two start times that are tried.
@@ -212,12 +214,12 @@ class Timetable:
                 places = planned if arm.name == name else self.places[arm.name][first:]
                 places = places if len(places) else self.places[arm.name][-1:]
                 q[:, arm.joints] = places[np.minimum(some, len(places) - 1)]
-            if not (between(self._cell, q, name, others) > self._least).all():
+            if not (distances_between(self._cell, q, name, others) > self._least).all():
                 return False
         return True
 
 
-def _standing(motion: Trajectory, seconds: float) -> Trajectory:
+def _rest_motion(motion: Trajectory, seconds: float) -> Trajectory:
     """A motion that rests at the start of another one."""
     position, torque = (np.repeat(values[:1], 2, axis=0) for values in (motion.position, motion.torque))
     still = np.zeros_like(position)
@@ -225,7 +227,7 @@ def _standing(motion: Trajectory, seconds: float) -> Trajectory:
     return Trajectory(motion.joint_names, *rows, motion.slides)
 
 
-def _soonest(clear: BoolArray, first: BoolArray, then: BoolArray) -> IntArray:
+def _fastest_progress(clear: BoolArray, first: BoolArray, then: BoolArray) -> IntArray:
     """(k, 2) fastest joint progress of two arms; (0, 2) if infeasible.
 
     Args:

@@ -23,7 +23,7 @@ RADIUS_M = 0.02
 def canopy(path: Path) -> Path:
     """Write a cloud of 2,000 points: foliage in front of the arm."""
     points = np.random.default_rng(1).normal((1.1, 0.0, 1.9), (0.12, 0.25, 0.12), (2000, 3))
-    return PointCloud.of("canopy", points, RADIUS_M).write(path)
+    return PointCloud.from_points("canopy", points, RADIUS_M).write(path)
 
 
 def main(file: str | None = None) -> hplan.PlanResult:

@@ -130,7 +130,7 @@ class ControlLoop:
         """Start at a scene's start: the planner gets its fruits, not its obstacles."""
         robot = hplan.load_robot(scene.robot)
         home = np.array(scene.start.configuration)
-        there = scene.with_(goal=Goal(joints_rad=tuple(home.tolist())))
+        there = scene.with_values(goal=Goal(joints_rad=tuple(home.tolist())))
         self.machine = SimulatedArm(robot, there, Plant(bandwidth=200.0))
         self.machine.place(home)
         self.cameras = {
@@ -298,11 +298,11 @@ def tree_in_front(file: Path, distance_m: float, arm: str) -> Scene:
     wood = solid_rows([solid for item in scene.obstacles for solid in item.solids], 0.0)
     room = distances_from_bodies(np.array([fruit.center for fruit in scene.fruits]), *wood) - 2.0 * CLOSE_NOISE_M
     fruits = tuple(
-        fruit.with_(radius=min(fruit.radius, float(most)))
+        fruit.with_values(radius=min(fruit.radius, float(most)))
         for fruit, most in zip(scene.fruits, room, strict=True)
         if most > LEAST_FRUIT_M
     )
-    return scene.with_(robot=arm, fruits=fruits, goal=Goal(fruit=fruits[0].name))
+    return scene.with_values(robot=arm, fruits=fruits, goal=Goal(fruit=fruits[0].name))
 
 
 def main(

@@ -36,7 +36,7 @@ def main(urdf: str | None = None) -> hplan.PlanResult:
     best = max(picked, key=lambda spec: len(picked[spec]))
     with tempfile.TemporaryDirectory() as folder:
         robot = hplan.load_robot(write_robot(best, urdf or Path(folder) / "my_arm.urdf")[0])
-    result = hplan.plan(robot, scene.with_(goal=Goal(fruit=picked[best][0])))
+    result = hplan.plan(robot, scene.with_values(goal=Goal(fruit=picked[best][0])))
     duration = result.trajectory.duration
     print(f"{sum(best.link_lengths):.2f} m: {picked[best][0]} and back in {duration:.2f} s, certified")
     return result

@@ -14,7 +14,7 @@ FRUITS = ("fruit 01", "fruit 04", "fruit 09")
 def main() -> hplan.TourResult:
     """Plan the tour and print its legs."""
     scene = hplan.load_scene("tour")
-    scene = scene.with_(fruits=tuple(fruit for fruit in scene.fruits if fruit.name in FRUITS))
+    scene = scene.with_values(fruits=tuple(fruit for fruit in scene.fruits if fruit.name in FRUITS))
     options = hplan.TourOptions(drop_off=Goal(joints_deg=(0.0, 90.0, 90.0, 0.0)), every=2)
     result = hplan.plan_tour(hplan.load_robot(), scene, tour=options)
     for leg in result.legs:

@@ -24,7 +24,7 @@ def main(folder: str | None = None) -> hplan.PlanResult:
     robot, scene = hplan.load_robot(), hplan.load_scene("trellis")
     result = hplan.plan(robot, scene)
     hplan.write_csv(result.trajectory, out / "trajectory.csv")
-    playback = Playback.of(result)
+    playback = Playback.from_result(result)
     write_page(robot, scene, playback, out / "scene.html")
     for phase in result.phases:
         print(f"{phase.name:10} {phase.start_s:6.3f} to {phase.end_s:6.3f} s")

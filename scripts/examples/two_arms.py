@@ -29,7 +29,7 @@ def main() -> hplan.CellResult:
         for name, fruit in FRUITS.items()
     )
     scene = CellScene(name="two arms", robots=robots, obstacles=row.obstacles, fruits=row.fruits)
-    result = hplan.plan_cell(Cell.of(scene, dict.fromkeys(FRUITS, robot)))
+    result = hplan.plan_cell(Cell.from_robots(scene, dict.fromkeys(FRUITS, robot)))
     reached = " and ".join(f"{fruit} by the {name} arm" for name, fruit in FRUITS.items())
     print(f"{reached} in {result.trajectory.duration:.2f} s")
     between = result.certificate.between.min_clearance_m

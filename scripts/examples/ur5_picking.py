@@ -64,7 +64,7 @@ def orchard(tree: str | None) -> Scene:
         scene = measured_orchard([tree], stands, start_deg=START_DEG)
     platform = Box(name="platform", center=(-0.2, 0.0, -0.36), size=(0.9, 0.7, 0.7))
     bin_wall = Box(name="bin", center=(-0.1, 0.55, -0.25), size=(0.35, 0.35, 0.4))
-    return scene.with_(obstacles=(*scene.obstacles, platform, bin_wall))
+    return scene.with_values(obstacles=(*scene.obstacles, platform, bin_wall))
 
 
 def main(tree: str | None = None, folder: str | None = None, most: int | None = None) -> hplan.TourResult:
@@ -81,7 +81,7 @@ def main(tree: str | None = None, folder: str | None = None, most: int | None = 
     out.mkdir(parents=True, exist_ok=True)
     hplan.write_csv(result.trajectory, out / "tour.csv")
     write_report(result.report, out / "tour.json")
-    write_page(robot, scene, Playback.of(result), out / "scene.html")
+    write_page(robot, scene, Playback.from_result(result), out / "scene.html")
     print(f"written: {out}")
     print(f"{len(result.order)} of {len(names)} apples in {result.trajectory.duration:.1f} s, certified")
     for item in result.unreached:

@@ -117,7 +117,7 @@ def _obstacle(rng: np.random.Generator, kind: int, name: str, extent: float) -> 
     around /= np.linalg.norm(around, axis=1)[:, None]
     stretch = rng.uniform(0.05, 0.25, 3)
     points = center + around * stretch + rng.normal(size=(count, 3)) * 0.01
-    return PointCloud.of(name, points, radius=rng.uniform(0.004, 0.012))
+    return PointCloud.from_points(name, points, radius=rng.uniform(0.004, 0.012))
 
 
 def _lowest(robot: Robot) -> float:
@@ -133,7 +133,7 @@ def free_ends(
     checker = CoalScene(robot, tuple(solid for obstacle in obstacles for solid in obstacle.solids))
     start = None
     for q in rng.uniform(*_ranges(robot), (DRAWS, robot.dof)):
-        if not (checker.pair_distances(q) - checker.kept(FREE_M) > 0.0).all():
+        if not (checker.pair_distances(q) - checker.required_distance(FREE_M) > 0.0).all():
             continue
         if start is None:
             start = q

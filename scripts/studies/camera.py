@@ -109,10 +109,10 @@ def _frames(config: StudyConfig, problem: tuple[Orchard, int]) -> list[Row]:
     home, truth = orchard.scene.start.configuration, orchard.scene.solids_with_goal
     # The goal of the simulated scene must not be a fruit, which the simulation would leave out.
     stay = Goal(joints_rad=tuple(home.tolist()))
-    simulation = SimulatedArm(robot, orchard.scene.with_(goal=stay, obstacles=(*orchard.scene.obstacles, GROUND)))
+    simulation = SimulatedArm(robot, orchard.scene.with_values(goal=stay, obstacles=(*orchard.scene.obstacles, GROUND)))
     simulation.place(home)
     camera = DepthCamera(math.ceil(size / DepthCamera(10_000, simulation).seen), simulation)
-    field, random = ClearanceField.of(robot, truth), np.random.default_rng([config.seed, size])
+    field, random = ClearanceField.build(robot, truth), np.random.default_rng([config.seed, size])
     least_m = CLEAR_M - 1e-6  # many goals have exactly this clearance, up to rounding
     goals = [goal for goal in crop_of(robot, orchard)[0].values() if field.clearance(goal) > least_m][:GOALS]
     rows = list[Row]()
@@ -123,7 +123,7 @@ def _frames(config: StudyConfig, problem: tuple[Orchard, int]) -> list[Row]:
         for frame in range(FRAMES):
             row = _plan(planner, camera, camera.frame(random), home)
             found = planner.last if row["certified"] else None
-            true_m = None if found is None else float(field.along(found.trajectory.position).min())
+            true_m = None if found is None else float(field.clearance_along(found.trajectory.position).min())
             rows.append(row | {
                 "name": f"{orchard.name}, {size}, goal {number}, frame {frame}",
                 "size": f"{size:,}",
@@ -157,10 +157,10 @@ def _plan(planner: Planner, camera: DepthCamera, points: Any, q: FloatArray) -> 
 
 def _query_us(robot: Robot, scene: Scene, random: np.random.Generator) -> float:
     """CPU time of the distances of all links from the balls at one configuration [us]."""
-    field = ClearanceField.of(robot, [solid for solid in scene.solids if solid.name == "seen"])
+    field = ClearanceField.build(robot, [solid for solid in scene.solids if solid.name == "seen"])
     q = random.uniform(robot.lower, robot.upper, (_QUERIES, robot.dof))
-    field.along(q[:10])
-    return 1e3 * timed(lambda: field.along(q))[1] / _QUERIES
+    field.clearance_along(q[:10])
+    return 1e3 * timed(lambda: field.clearance_along(q))[1] / _QUERIES
 
 
 CAMERA = Study(

@@ -55,7 +55,7 @@ def cell_of(robot: Robot, tree: Scene, stands: str) -> Cell:
         for name, place, wait in zip("abcd", places, waits, strict=False)
     )
     scene = CellScene(name=stands, robots=arms, obstacles=tree.obstacles, fruits=tree.fruits)
-    return Cell.of(scene, {arm.name: robot for arm in arms})
+    return Cell.from_robots(scene, {arm.name: robot for arm in arms})
 
 
 def _picked(config: StudyConfig, file: Path, stands: str, yaw_deg: float) -> tuple[CellTour, float]:
@@ -75,7 +75,7 @@ def _picked(config: StudyConfig, file: Path, stands: str, yaw_deg: float) -> tup
         key: tuple(item for item in getattr(tree, key) if item.name not in inside or not item.yields)
         for key in ("obstacles", "fruits")
     }
-    cell = cell_of(robot, tree.with_(**kept), stands)
+    cell = cell_of(robot, tree.with_values(**kept), stands)
     return timed(lambda: plan_cell_tour(cell, PlanOptions(effort=config.effort)))
 
 
@@ -114,7 +114,7 @@ def _row(config: StudyConfig, problem: tuple[Path, str]) -> Row:
     rate, arms = len(found.picked) / found.trajectory.duration, len(cell.arms)
     equal = len(shares) == arms and min(shares) * arms >= EQUAL * sum(shares)
     rigid = tuple(item for item in cell.scene.obstacles if not item.yields)
-    firm = cell.task(cell.configuration({})).with_(obstacles=rigid, fruits=())
+    firm = cell.task(cell.configuration({})).with_values(obstacles=rigid, fruits=())
     with_wood, with_arms = contacts(cell.robot, firm, found.trajectory)
     return row | {
         "solved": found.verified, "how": "verified" if found.verified else "not verified", "turned_deg": yaw_deg,

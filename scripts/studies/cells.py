@@ -109,7 +109,7 @@ def cell_of(config: StudyConfig, group: str, test: dict[str, Any]) -> Cell:
     ]
     table = Box(name="table", center=(0.0, 0.0, 0.048), size=(2.0, 2.0, 0.1))
     scene = CellScene(name=group, robots=arms, obstacles=(table, *boxes))
-    return Cell.of(scene, {arm.name: _panda() for arm in arms})
+    return Cell.from_robots(scene, {arm.name: _panda() for arm in arms})
 
 
 def _row(config: StudyConfig, problem: tuple[str, str, dict[str, Any]]) -> Row:

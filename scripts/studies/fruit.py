@@ -30,7 +30,7 @@ class FruitProblem(NamedTuple):
 
 def _to_fruit(group: str, scene: Scene) -> list[FruitProblem]:
     goals = {f"{scene.name}: {fruit.name}": Goal(fruit=fruit.name) for fruit in scene.fruits}
-    return [FruitProblem(name, group, scene.with_(goal=goal)) for name, goal in goals.items()]
+    return [FruitProblem(name, group, scene.with_values(goal=goal)) for name, goal in goals.items()]
 
 
 def _problems(config: StudyConfig) -> Iterable[FruitProblem]:

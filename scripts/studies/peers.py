@@ -133,7 +133,7 @@ def ompl_path(
 
 def world_of(robot: Robot, scene: Scene) -> World:
     """The arm among all obstacles and fruit of a scene."""
-    return World.of(robot, scene.solids_with_goal, clearance=scene.clearance)
+    return World.build(robot, scene.solids_with_goal, clearance=scene.clearance)
 
 
 def peer_row(

@@ -17,7 +17,7 @@ from hplan.robot.planar_family import PlanarArm
 
 def joint_grid(arm: PlanarArm, step: float | FloatArray) -> Grid:
     """Grid over the ranges of the planar joints, with a maximum spacing [rad], one number or one for each joint."""
-    return Grid.over(arm.lower, arm.upper, step)
+    return Grid.from_limits(arm.lower, arm.upper, step)
 
 
 def arm_sections(

@@ -75,7 +75,7 @@ def random_scene(robot: Robot, seed: int, number: int) -> PlanarScene:
         centres = np.column_stack([distance * np.cos(bearing), distance * np.sin(bearing)])
         discs = _discs_in_plane(robot, np.column_stack([centres, radius]))
         space = occupancy(robot.arm, arm_sections(robot, discs), grid)
-        free = np.flatnonzero(~space.occupied.ravel())
+        free = np.flatnonzero(~space.occupied_mask.ravel())
         if len(free) < 2:
             continue
         for _ in range(_PAIRS):
@@ -138,9 +138,9 @@ def pinch(seed: int, number: int, arm: str, room: float) -> tuple[Robot, Scene]:
 def _is_narrow(robot: Robot, scene: Scene) -> bool:
     """True if planning takes base, start and goal, and the straight motion is not clear."""
     try:
-        problem = Problem.of(robot, scene, PlanOptions())
+        problem = Problem.from_scene(robot, scene, PlanOptions())
         problem.world.check_base()
-        problem = problem.between(problem.start, scene.goal.configuration)
+        problem = problem.from_configurations(problem.start, scene.goal.configuration)
     except HplanError:
         return False
     ends = np.stack([problem.start, problem.goal])

@@ -127,7 +127,7 @@ def motions_in(robot: Robot, orchard: Orchard) -> list[TreeProblem]:
     """From home to each fruit, then from each fruit to the next, in the order of their distance from the base."""
     scene, home = orchard.scene, orchard.scene.start.configuration
     goals, _ = crop_of(robot, orchard)
-    clear = ClearanceField.of(robot, scene.solids_with_goal, clearance=scene.clearance).clearance(home) > 0.0
+    clear = ClearanceField.build(robot, scene.solids_with_goal, clearance=scene.clearance).clearance(home) > 0.0
     ways = [("home", home, name, goal) for name, goal in goals.items()] if clear else []
     ways += [(*one, *other) for one, other in pairwise(goals.items())]
     named = [(f"{orchard.name}: {before} to {after}", start, goal) for before, start, after, goal in ways]
@@ -139,13 +139,13 @@ def _standoff(robot: Robot, scene: Scene, fruit: Fruit, home: FloatArray) -> Flo
 
     The last link alone may touch the fruit.
     """
-    world = ClearanceField.of(robot, scene.solids_with_goal, clearance=scene.clearance)
-    touching = world.sparing(np.array([solid.name == fruit.name for solid in scene.solids_with_goal]))
+    world = ClearanceField.build(robot, scene.solids_with_goal, clearance=scene.clearance)
+    touching = world.ignoring_last_link(np.array([solid.name == fruit.name for solid in scene.solids_with_goal]))
     try:
         goals = reach(robot, fruit.center, count=GRASPS, start=home).configurations
     except UnreachableError as error:
         return error.reason
-    goals = goals[touching.along(goals).min(axis=1) > SPARE]
+    goals = goals[touching.clearance_along(goals).min(axis=1) > SPARE]
     if not len(goals):
         return "blocked"
     feasible, polylines = straight_approaches(robot, goals, STANDOFF)

@@ -115,8 +115,8 @@ def test_exhausted_budget_is_reported(robot, scene, monkeypatch):
 
 def test_time_grows_with_the_rows(robot, scene, motion):
     """A hundred times back and forth: 90,000 samples."""
-    there = [motion, motion.reversed] * 100
-    long = hplan.trajectory.trajectory.joined(there)
+    there = [motion, motion.reversal] * 100
+    long = hplan.trajectory.trajectory.join_trajectories(there)
     certificate = certified_as_required(robot, scene, long, check_ends=False)
     assert certificate.verified
     assert certificate.checks < 100_000

@@ -25,7 +25,7 @@ from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
-from hplan.trajectory.trajectory import Trajectory, joined, read_csv, write_csv
+from hplan.trajectory.trajectory import Trajectory, join_trajectories, read_csv, write_csv
 
 A, B = (0.0, 0.9, 0.6, 0.3), (1.2, 0.9, 0.6, 0.3)
 NODE = Path(__file__).resolve().parents[2] / "scripts" / "examples" / "ros2_node.py"
@@ -113,7 +113,7 @@ def test_straight_lines_have_jumps_of_velocity(robot: Robot) -> None:
     with pytest.raises(InputError, match="linear between its samples"):
         motion.stop_at(0.3, robot)
     with pytest.raises(InputError, match="they must be the same"):
-        joined([motion, replace(motion.reversed, interpolation="cubic", velocity=0.0 * motion.velocity)])
+        join_trajectories([motion, replace(motion.reversal, interpolation="cubic", velocity=0.0 * motion.velocity)])
 
 
 def test_digests_differ_between_curves(robot: Robot, tmp_path: Path) -> None:
@@ -147,7 +147,7 @@ def handed_out(robot: Robot, now: float) -> dict[str, tuple[Trajectory, float]]:
     planner.aim(goal=Goal(joints_rad=(1.0, 0.8, 0.6, 0.3)))
     found = {
         "stop": running.stop_at(since),
-        "scaled": running.scaled([(0, 1), (since, 1), (since, 0.5)]),
+        "scaled": running.scale_speed([(0, 1), (since, 1), (since, 0.5)]),
         "planner stop": planner.stop_at(now + 0.05, now=now),
         "splice": planner.replan(at=now + 0.05, now=now),
     }
@@ -189,7 +189,7 @@ def test_motion_that_began_at_0_is_sent_from_a_later_row(swing: PlanResult) -> N
         to_joint_trajectory(stop, stamp_s=0.0)
     row = int(np.searchsorted(stop.time, 0.35))
     stamp_s = float(stop.time[row])
-    message = to_joint_trajectory(stop.since(row), stamp_s=stamp_s)
+    message = to_joint_trajectory(stop.cut_before(row), stamp_s=stamp_s)
     assert message["header"]["stamp"] == {"sec": 0, "nanosec": round(1e9 * stamp_s)}
     here, _, _ = swing.trajectory.state_at(stamp_s)
     np.testing.assert_allclose(message["points"][0]["positions"], here, atol=1e-9)
@@ -202,7 +202,7 @@ def test_csv_of_a_stop_begins_where_the_arm_is(robot: Robot, tmp_path: Path) -> 
         with pytest.raises(InputError, match="has no start time"):
             write_csv(motion, tmp_path / "t.csv")
         row = int(np.searchsorted(motion.time, 0.4, side="right")) - 1
-        first = read_csv(write_csv(motion.since(row), tmp_path / "t.csv"))
+        first = read_csv(write_csv(motion.cut_before(row), tmp_path / "t.csv"))
         np.testing.assert_array_equal(first.position[0], motion.position[row])
         assert read_csv(write_csv(motion, tmp_path / "t.csv", whole=True)).samples == motion.samples
     write_csv(found["splice"][0], tmp_path / "t.csv")
@@ -216,7 +216,7 @@ def test_recorded_stop_has_a_stamp(robot: Robot, swing: PlanResult, tmp_path: Pa
 
 
 def test_motion_that_begins_in_motion_needs_a_stamp(swing: PlanResult) -> None:
-    later = replace(swing.trajectory.since(50), takes_over_s=None)
+    later = replace(swing.trajectory.cut_before(50), takes_over_s=None)
     with pytest.raises(OptionError, match="stamp_s"):
         to_joint_trajectory(later)
     assert to_joint_trajectory(later, stamp_s=100.1)["header"]["stamp"]["sec"] == 100

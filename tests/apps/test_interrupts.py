@@ -14,7 +14,7 @@ import pytest
 from small_tree import TREE
 
 from hplan.apps.cli.main import main
-from hplan.base.interrupts import SignalError, handling_signals, uninterrupted
+from hplan.base.interrupts import SignalError, defer_signals, handling_signals
 
 #: Ends an hplan command by a signal when a function is called, in a process of its own.
 WHEN = """
@@ -165,7 +165,7 @@ def test_signal_waits_for_the_end_of_uninterrupted_block() -> None:
     done = []
 
     def work() -> None:
-        with uninterrupted():
+        with defer_signals():
             os.kill(os.getpid(), signal.SIGTERM)
             spin(0.05)
             done.append("whole")

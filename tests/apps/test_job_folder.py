@@ -62,7 +62,7 @@ def test_files_are_moved_with_trajectory_last(folder: JobFolder, monkeypatch: py
         return replace(self, target)
 
     monkeypatch.setattr(Path, "replace", noted)
-    with folder.job("scene", "robot"), folder.filling() as staging:
+    with folder.job("scene", "robot"), folder.stage_files() as staging:
         fill(staging, "b.csv")
         assert not any(name.endswith(".csv") for name in names(folder.path))
     assert order == ["page.html", "report.json", "a.csv", "b.csv"]
@@ -84,7 +84,7 @@ def test_fault_at_any_move_leaves_no_trajectory(
         return replace(self, target)
 
     def job() -> None:
-        with folder.job("scene", "robot"), folder.filling() as staging:
+        with folder.job("scene", "robot"), folder.stage_files() as staging:
             fill(staging)
 
     job()
@@ -194,7 +194,7 @@ def test_failed_job_takes_its_own_files_alone(later: str, done: Path, tmp_path: 
 def test_cloud_that_the_scene_names_stays(tmp_path: Path) -> None:
     """It is in the job's folder, under a name that hplan itself writes."""
     scene = hplan.load_scene()
-    cloud = PointCloud.of("cloud", [[0.9, 0.0, 2.5]], 0.01)
+    cloud = PointCloud.from_points("cloud", [[0.9, 0.0, 2.5]], 0.01)
     hplan.save_scene(scene.model_copy(update={"obstacles": (cloud,)}), tmp_path / "scene.yaml")
     (ply,) = tmp_path.glob("*.ply")
     before = ply.read_bytes()

@@ -44,8 +44,8 @@ OBSTACLES = (
     Capsule(name="knob", start=(1.5, -0.8, 0.5), end=(1.5, -0.8, 0.5), radius=0.03),
     Cylinder(name="can", center=(0.4, 1.2, 0.8), length=0.14, radius=0.05, rpy_deg=(0.0, 90.0, 30.0)),
     Box(name="crate", center=(-0.9, 0.0, 0.2), size=(0.3, 0.4, 0.2), rpy_deg=(0.0, 0.0, 30.0)),
-    Mesh.of("wedge", CORNERS, FACES, position=(-1.0, 1.0, 0.0)),
-    PointCloud.of("leaves", CORNERS, 0.02, position=(1.0, 1.2, 1.6)),
+    Mesh.from_arrays("wedge", CORNERS, FACES, position=(-1.0, 1.0, 0.0)),
+    PointCloud.from_points("leaves", CORNERS, 0.02, position=(1.0, 1.2, 1.6)),
 )
 FRUITS = (
     Fruit(name="ripe", center=(1.2, 0.5, 1.7), radius=0.04),
@@ -251,7 +251,7 @@ def test_obstacles_that_move(picked: PlanResult, tmp_path: Path) -> None:
     for time, message in found.messages["/tf"]:
         (place,) = [item for item in message.transforms if item.child_frame_id == "obstacle/gate"]
         assert place.header.frame_id == "base_link"
-        standing = scene.at(1e-9 * time - 1.0)
+        standing = scene.snapshot(1e-9 * time - 1.0)
         (expected,) = standing.obstacles
         assert isinstance(expected, Box)
         frame = transform_of(place.transform)

@@ -34,7 +34,7 @@ def result(robot: Robot) -> PlanResult:
 
 @pytest.fixture(scope="module")
 def playback(result: PlanResult) -> Playback:
-    return Playback(result.trajectory, result.picked, phases=result.phases, certificate=result.certificate)
+    return Playback(result.trajectory, result.picked_fruit, phases=result.phases, certificate=result.certificate)
 
 
 @pytest.fixture(scope="module")

@@ -125,7 +125,7 @@ def test_changed_file_of_one_arm_is_not_replaced(tmp_path: Path) -> None:
     assert main(words) == 0
     path = tmp_path / "out" / "trajectory-left.csv"
     motion = hplan.read_csv(path)
-    mine = hplan.write_csv(motion.until(motion.samples - 2), path).read_bytes()
+    mine = hplan.write_csv(motion.cut_after(motion.samples - 2), path).read_bytes()
     assert main(words) == 2
     assert path.read_bytes() == mine
     assert main([*words, "--force"]) == 0

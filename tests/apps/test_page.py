@@ -16,7 +16,7 @@ from shapes import crate
 from hplan.apps.view import scene_stage
 from hplan.apps.view.page import render_page
 from hplan.apps.view.playback import Playback
-from hplan.apps.view.scene_stage import keyframe_times, stage
+from hplan.apps.view.scene_stage import build_stage, keyframe_times
 from hplan.apps.view.scenery import OTHER
 from hplan.robot.limits import Limits
 from hplan.robot.model import Robot
@@ -71,7 +71,7 @@ def replayed(commands: list[dict[str, Any]], key: int) -> dict[str, np.ndarray]:
 def test_animation_puts_every_visual_geometry_where_pinocchio_puts_it(robot: Robot, row: int) -> None:
     q = (0.7, *GOAL[1:])
     trajectory = motion(robot, q)
-    commands = stage(robot, load_scene(), Playback(trajectory))
+    commands = build_stage(robot, load_scene(), Playback(trajectory))
     key = int(np.argmin(np.abs(keyframe_times(trajectory) - trajectory.time[row])))
     poses = replayed(commands, key)
     data, visual_data = robot.model.createData(), robot.visual_model.createData()
@@ -83,7 +83,7 @@ def test_animation_puts_every_visual_geometry_where_pinocchio_puts_it(robot: Rob
 
 def test_obstacles_and_fruits_are_where_the_scene_has_them(robot: Robot) -> None:
     scene = orchard(obstacles=OBSTACLES)
-    drawn = objects(stage(robot, scene, Playback(motion(robot))))
+    drawn = objects(build_stage(robot, scene, Playback(motion(robot))))
 
     def meshes(path: str) -> list[dict[str, Any]]:
         children: list[dict[str, Any]] = drawn[f"/hplan/{path}"]["object"]["children"]
@@ -112,9 +112,9 @@ def test_names_cannot_break_the_page(robot: Robot, name: str) -> None:
 
 def test_meshes_and_clouds_are_drawn(robot: Robot) -> None:
     points = np.random.default_rng(0).uniform(0.5, 1.5, (50_001, 3))
-    crate_ = Mesh.of("crate", *crate(), position=(1.0, 0.5, 0.2), rpy_deg=(0, 0, 30))
-    cloud = PointCloud.of("canopy", points, 0.01)
-    drawn = objects(stage(robot, orchard(obstacles=(crate_, cloud)), Playback(motion(robot))))
+    crate_ = Mesh.from_arrays("crate", *crate(), position=(1.0, 0.5, 0.2), rpy_deg=(0, 0, 30))
+    cloud = PointCloud.from_points("canopy", points, 0.01)
+    drawn = objects(build_stage(robot, orchard(obstacles=(crate_, cloud)), Playback(motion(robot))))
     surface = drawn["/hplan/obstacles/mesh crate"]["geometries"][0]["data"]["attributes"]["position"]["array"]
     vertices, faces = crate_.surface
     np.testing.assert_allclose(np.reshape(surface, (-1, 3, 3)), vertices[faces], atol=1e-6)
@@ -134,7 +134,9 @@ def moved(name: str, folders: pytest.TempPathFactory) -> tuple[Any, Scene, Playb
     middle = np.clip(np.zeros(robot.dof), robot.lower, robot.upper)
     start, goal = np.clip([middle - 0.1, middle + 0.1], robot.lower, robot.upper)
     limits = Limits(robot.velocity_limit, robot.acceleration_limit, None, None)
-    trajectory = time_path(SplinePath.through(np.linspace(start, goal, 5)), robot.dynamics, limits, rate_hz=100.0)
+    trajectory = time_path(
+        SplinePath.from_control_points(np.linspace(start, goal, 5)), robot.dynamics, limits, rate_hz=100.0
+    )
     wall = Box(name="wall", center=(1.0, 0.0, 0.5), size=(0.1, 1.0, 1.0))
     ends = Start(joints_rad=tuple(start.tolist())), Goal(joints_rad=tuple(goal.tolist()))
     return robot, Scene(name="any arm", start=ends[0], goal=ends[1], obstacles=(wall,)), Playback(trajectory)
@@ -143,7 +145,7 @@ def moved(name: str, folders: pytest.TempPathFactory) -> tuple[Any, Scene, Playb
 @pytest.mark.parametrize("name", ["toy", "lift", "seven", "panda"])
 def test_every_joint_moves_in_the_picture(name: str, tmp_path_factory: pytest.TempPathFactory) -> None:
     robot, scene, playback = moved(name, tmp_path_factory)
-    commands = scene_stage.stage(robot, scene, playback)
+    commands = scene_stage.build_stage(robot, scene, playback)
     (animation,) = [command for command in commands if command["type"] == "set_animation"]
     tracks = [clip["clip"]["tracks"][0]["name"] for clip in animation["animations"]]
     sliding = [joint.shortname().startswith("JointModelP") for joint in robot.model.joints.tolist()[1:]]

@@ -9,7 +9,7 @@ from pages import animation_of, objects, orchard, steady_motion
 from scipy.spatial.transform import Rotation
 
 from hplan.apps.view.playback import Playback
-from hplan.apps.view.scene_stage import REST_S, keyframe_times, stage
+from hplan.apps.view.scene_stage import REST_S, build_stage, keyframe_times
 from hplan.apps.view.scenery import METAL, WOOD, moving_nodes, obstacles, picks
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal
@@ -42,7 +42,7 @@ def seen_at(track: dict[str, Any], time: float) -> bool:
 
 
 def test_capsules_of_equal_appearance_share_one_shape(robot: Robot) -> None:
-    found = objects(stage(robot, orchard(obstacles=CAPSULES), Playback(motion(robot))))
+    found = objects(build_stage(robot, orchard(obstacles=CAPSULES), Playback(motion(robot))))
     body = found["/hplan/obstacles/Wood"]
     walls, ends = body["object"]["children"]
     assert {walls["type"], ends["type"]} == {"InstancedMesh"}
@@ -78,7 +78,9 @@ def test_capsules_of_equal_appearance_share_one_shape(robot: Robot) -> None:
 def test_picked_fruit_changes_its_colour_and_goes_with_the_tool(robot: Robot) -> None:
     trajectory = motion(robot)
     phases = (Phase("transit", 0.0, 0.6), Phase("approach", 0.6, 1.0), Phase("retreat", 1.0, 2.0))
-    commands = stage(robot, orchard(obstacles=CAPSULES), Playback(trajectory, picked={"ripe": 1.0}, phases=phases))
+    commands = build_stage(
+        robot, orchard(obstacles=CAPSULES), Playback(trajectory, picked={"ripe": 1.0}, phases=phases)
+    )
     found = tracks(commands)
     hanging = found["/hplan/fruits/fruit ripe"][".visible"]
     held = found["/hplan/picked/fruit ripe"]
@@ -114,7 +116,7 @@ def test_of_a_tour_the_tool_holds_one_fruit_until_it_lets_it_go(robot: Robot) ->
     late = {"ripe": 3.5, "green": 4.0}
     assert [p.until for p in picks(scene, Playback(trajectory, times, late, retreats))] == [3.0, math.inf]
     assert picks(scene, Playback(trajectory, phases=retreats)) == []
-    commands = stage(robot, scene, Playback(trajectory, picked=times, dropped={"ripe": 2.0, "green": 3.8}))
+    commands = build_stage(robot, scene, Playback(trajectory, picked=times, dropped={"ripe": 2.0, "green": 3.8}))
     held = tracks(commands)["/hplan/picked/fruit ripe"][".visible"]
     assert [seen_at(held, time) for time in (0.5, 1.5, 2.5)] == [False, True, False]
     # With several fruits none is the one to pick, and the goal has no single pose.
@@ -151,7 +153,7 @@ def test_tracked_obstacles_are_where_the_scene_puts_them(robot: Robot, creeping:
     base = Track(times_s=(0.0, 2.0), shifts_m=((0.0, 0.0, 0.0), (0.4, 0.0, 0.0))) if creeping else None
     scene = orchard(goal=Goal(joints_deg=(0, 9, 9, 9)), obstacles=(*CAPSULES[1:], branch, box), base_track=base)
     playback = Playback(motion(robot), begin_s=0.25)
-    commands = stage(robot, scene, playback)
+    commands = build_stage(robot, scene, playback)
     nodes = moving_nodes(scene)
     assert nodes["cart"] == nodes[branch.name]
     assert ("ripe" in nodes) == creeping

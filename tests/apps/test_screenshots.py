@@ -41,19 +41,21 @@ STILL = "<script>player.pause(); player.seek(0.5 * motion.duration);</script>"
 
 def motion_page() -> str:
     robot, scene = hplan.load_robot(), hplan.load_scene()
-    return render_page(robot, scene, Playback.of(hplan.plan(robot, scene))).replace("</body>", f"{STILL}</body>")
+    return render_page(robot, scene, Playback.from_result(hplan.plan(robot, scene))).replace(
+        "</body>", f"{STILL}</body>"
+    )
 
 
 def tour_page() -> str:
     robot, scene = hplan.load_robot(), hplan.load_scene("tour")
     tour = hplan.plan_tour(robot, scene, hplan.PlanOptions(effort="quick"))
-    return render_page(robot, scene, Playback.of(tour)).replace("</body>", f"{STILL}</body>")
+    return render_page(robot, scene, Playback.from_result(tour)).replace("</body>", f"{STILL}</body>")
 
 
 def cspace_page() -> str:
     robot, scene = hplan.load_robot(), hplan.load_scene()
     result = hplan.plan(robot, scene)
-    page = render_cspace_page(yaw_section(robot, scene, Playback.of(result), hplan.PlanOptions()), scene.name)
+    page = render_cspace_page(yaw_section(robot, scene, Playback.from_result(result), hplan.PlanOptions()), scene.name)
     halfway = f"<script>viewer.animator.pause(); viewer.animator.seek({0.5 * result.trajectory.duration});</script>"
     return page.replace("</body>", f"{halfway}</body>")
 

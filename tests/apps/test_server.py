@@ -54,9 +54,9 @@ def test_serves_the_page_until_it_is_closed(view: LiveView) -> None:
     with pytest.raises(urllib.error.HTTPError, match="404"):
         urllib.request.urlopen(f"{view.url}other", timeout=10)
     view.wait(0.05)
-    assert view.running
+    assert view.is_running
     view.close()
-    assert not view.running
+    assert not view.is_running
     with pytest.raises(urllib.error.URLError):
         urllib.request.urlopen(view.url, timeout=10)
     view.close()
@@ -92,7 +92,7 @@ def test_arm_and_scene_are_where_they_are() -> None:
         for number, shape in enumerate(shapes.geometryObjects):
             node = live._arm.frames[f"pinocchio/visual/{shape.name}"]
             np.testing.assert_allclose(node.position, places.oMg[number].translation, atol=1e-6)
-        cloud = PointCloud.of("seen", np.ones((5, 3)), 0.01)
+        cloud = PointCloud.from_points("seen", np.ones((5, 3)), 0.01)
         live.set_scene(scene.with_obstacles([cloud]))
         drawn = live.server.scene._handle_from_node_name
         assert "/scene/seen" in drawn

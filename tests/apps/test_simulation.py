@@ -146,8 +146,10 @@ def test_too_fast_for_the_motors(robot: Robot, scene: Scene, planned: PlanResult
         Capsule(name="it", start=(1.9, 0.0, 0.6), end=(1.9, 0.0, 0.6), radius=0.05),
         Box(name="it", center=(1.9, 0.0, 0.6), size=(0.1, 0.4, 0.02), rpy_deg=(20.0, 40.0, 70.0)),
         Cylinder(name="it", center=(1.9, 0.0, 0.6), length=0.3, radius=0.08, rpy_deg=(20.0, 40.0, 70.0)),
-        Mesh.of("it", *torus(0.2, 0.03, 8), position=(1.9, 0.0, 0.6), rpy_deg=(90.0, 0.0, 20.0)),
-        PointCloud.of("it", np.random.default_rng(0).uniform(-0.1, 0.1, (40, 3)), 0.02, position=(1.9, 0.0, 0.6)),
+        Mesh.from_arrays("it", *torus(0.2, 0.03, 8), position=(1.9, 0.0, 0.6), rpy_deg=(90.0, 0.0, 20.0)),
+        PointCloud.from_points(
+            "it", np.random.default_rng(0).uniform(-0.1, 0.1, (40, 3)), 0.02, position=(1.9, 0.0, 0.6)
+        ),
     ],
 )
 def test_contacts_of_mujoco_are_those_of_coal(robot: Robot, obstacle: Any) -> None:
@@ -183,11 +185,13 @@ def test_reference_is_the_hermite_cubic(robot: Robot) -> None:
     def cubic(t: np.ndarray, derivative: int) -> np.ndarray:
         return np.stack([np.polyval(np.polyder(row, derivative), t) for row in coefficients], axis=-1)
 
-    reference = simulation._Reference.of(robot, RecordedMotion(robot.joint_names, time, cubic(time, 0), cubic(time, 1)))
+    reference = simulation._Reference.build(
+        robot, RecordedMotion(robot.joint_names, time, cubic(time, 0), cubic(time, 1))
+    )
     clock = np.linspace(0.0, 1.0, 77)
-    for derivative, values in enumerate(reference.at(clock)):
+    for derivative, values in enumerate(reference.sample(clock)):
         np.testing.assert_allclose(values, cubic(clock + 3.0, derivative), atol=1e-11)
-    q, v, a = reference.at(np.array([1.2]))
+    q, v, a = reference.sample(np.array([1.2]))
     np.testing.assert_array_equal(q[0], cubic(time, 0)[-1])
     assert not v.any()
     assert not a.any()

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import pytest
 
 from hplan.base.arrays import FloatArray
-from hplan.base.deadline import NEVER, TimeIsUpError, check_deadline, current, is_up, time_limit, until
+from hplan.base.deadline import NEVER, TimeIsUpError, check_deadline, current, is_up, kernel_time_limit, time_limit
 from hplan.base.kernels import kernel
 from hplan.errors import PlanCancelledError
 
@@ -23,7 +23,7 @@ SOON = 5.0
 
 
 def count_and_look() -> None:
-    _count(until(), LOOPS)
+    _count(kernel_time_limit(), LOOPS)
     check_deadline()
 
 
@@ -41,14 +41,14 @@ def _count(until: FloatArray, most: int) -> int:
 def test_without_a_limit_kernels_go_on_to_their_end() -> None:
     check_deadline()
     assert current() is None
-    assert until() is NEVER
-    assert _count(until(), 5000) == 5000
+    assert kernel_time_limit() is NEVER
+    assert _count(kernel_time_limit(), 5000) == 5000
 
 
 def test_kernel_comes_back_at_the_deadline() -> None:
     begin = time.monotonic()
     with time_limit(0.02) as limit:
-        assert _count(until(), LOOPS) < LOOPS
+        assert _count(kernel_time_limit(), LOOPS) < LOOPS
         assert limit.is_up
         assert not limit.is_cancelled
         with pytest.raises(TimeIsUpError):
@@ -108,7 +108,7 @@ def test_another_thread_ticks_while_a_kernel_runs() -> None:
     other.start()
     with time_limit(0.3):
         before = ticks[0]
-        _count(until(), LOOPS)
+        _count(kernel_time_limit(), LOOPS)
         after = ticks[0]
     done.set()
     other.join()

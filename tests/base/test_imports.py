@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import hplan
-from hplan.base.lazy_import import deferred
+from hplan.base.lazy_import import defer_imports
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_imported_when_used(package: Path) -> None:
-    with deferred("heavy_part", "heavy_part.plots"):
+    with defer_imports("heavy_part", "heavy_part.plots"):
         import wants_heavy
     from heavy_log import log
 
@@ -48,7 +48,7 @@ def test_imported_when_used(package: Path) -> None:
 def test_existing_names_are_kept(package: Path) -> None:
     import heavy_part.plots as plots
 
-    with deferred("heavy_part", "heavy_part.plots"):
+    with defer_imports("heavy_part", "heavy_part.plots"):
         import heavy_part.plots as again
     assert again is plots
     assert sys.modules["heavy_part.plots"] is plots

@@ -17,7 +17,7 @@ import pytest
 
 from hplan.base import kernels
 from hplan.base.arrays import FloatArray
-from hplan.base.kernels import KernelCacheWarning, any_int, inlined, kernel
+from hplan.base.kernels import KernelCacheWarning, any_int, inline, kernel
 
 ROOT = Path(__file__).parents[2]
 
@@ -425,7 +425,7 @@ def test_read_only_installation_uses_other_cache(tmp_path: Path) -> None:
 _THREE = any_int(3)
 
 
-@inlined
+@inline
 def _twice(x: float) -> float:
     return 2.0 * x
 

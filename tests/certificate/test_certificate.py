@@ -292,7 +292,7 @@ def test_motion_that_is_not_at_rest_at_its_ends_is_refused(robot, scene, end):
 def test_motions_one_after_the_other(robot, scene):
     """The worst of all parts."""
     there = straight(robot, np.zeros(4), np.array([0.2, 0.0, 0.0, 0.0]))
-    back = there.reversed
+    back = there.reversal
     moving = replace(back, velocity=np.where(np.arange(back.samples)[:, None] == back.samples - 1, 0.1, back.velocity))
     near = scene.with_obstacles([Sphere(name="near", center=(1.0, -0.3, 0.6), radius=0.1)])
     far = scene.with_obstacles([Sphere(name="far", center=(1.0, -0.8, 0.6), radius=0.1)])

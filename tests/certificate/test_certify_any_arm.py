@@ -25,7 +25,7 @@ from hplan.certificate.motion_bound import largest_deviations, motion_of_movers
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import solid_shape
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
-from hplan.collision.reach import ON_AXIS, is_moved, joints_between, reach, reach_ball
+from hplan.collision.reach import ON_AXIS, is_moved, joints_between, reach, workspace_ball
 from hplan.collision.touching_pairs import required_distances, self_pairs
 from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.geometry.cloud import Cloud
@@ -51,7 +51,7 @@ def free_configurations(robot: Robot, count: int, seed: int, clearance: float = 
     low, high = np.maximum(robot.lower, -2.5), np.minimum(robot.upper, 2.5)
     while len(found) < count:
         q = rng.uniform(low, high)
-        if (checker.pair_distances(q) - checker.kept(clearance) > 1e-3).all():
+        if (checker.pair_distances(q) - checker.required_distance(clearance) > 1e-3).all():
             found.append(q)
     return np.array(found)
 
@@ -259,7 +259,7 @@ def test_pairs_that_are_one_mover_count_as_the_farthest_of_them(load, monkeypatc
     robot, rng = load("panda"), np.random.default_rng(15)
     parts = (checker := CoalScene(robot, [])).parts
     bezier = rng.uniform(robot.lower, robot.upper, (10, 1, robot.dof)) + 0.05 * rng.normal(size=(10, 4, robot.dof))
-    alike, deviations = parts.alike, np.full((1, robot.dof), 0.01)
+    alike, deviations = parts.motion_groups, np.full((1, robot.dof), 0.01)
     together = motion_of_movers(checker, bezier, deviations)[1:]
     monkeypatch.setitem(vars(parts), "alike", np.arange(len(alike)))
     alone = motion_of_movers(checker, bezier, deviations)[1:]
@@ -301,7 +301,7 @@ def test_clouds_and_static_bodies_are_certified(load):
     proof = prove_clearance(bezier, checker, np.zeros((1, robot.dof)), 0.0)
     first = len(checker.pairs) - len(checker.parts.own)
     seen = min(checker.pair_distances(point_at(bezier, at))[:first].min() for at in np.linspace(0.0, len(bezier), 100))
-    assert proof.shown == (seen > 0.0)
+    assert proof.is_certified == (seen > 0.0)
     pole = Sphere(name="pole", center=(0.0, 0.0, -0.1), radius=0.05)
     certificate = certify(robot, scene_of(robot, trajectory, [pole], 0.0), trajectory)
     assert any("'pole'" in line and "'base_link', which does not move" in line for line in certificate.violations)
@@ -409,7 +409,7 @@ def test_obstacles_that_move(load, name):
 @pytest.mark.parametrize("name", ["seven", "lift", "panda"])
 def test_ball_of_all_bodies_holds_them(load, name):
     robot, rng = load(name), np.random.default_rng(22)
-    *centre, radius = reach_ball(robot)
+    *centre, radius = workspace_ball(robot)
     for q in rng.uniform(robot.lower, robot.upper, (50, robot.dof)):
         for solid in arm_solids(robot, q):
             away = np.linalg.norm(solid.core - centre, axis=1).max() + solid.rounding
@@ -484,7 +484,7 @@ def test_columns_of_prismatic_joints_are_in_metres(tmp_path: Path) -> None:
     rail, boom = "rail_pos_m,rail_vel_m_s,rail_acc_m_s2,rail_force_n", "boom_pos_rad,boom_vel_rad_s,boom_acc_rad_s2"
     assert header == f"time_s,{rail},{boom},boom_torque_nm"
     again = hplan.read_csv(path)
-    assert again.slides == found.slides == again.until(3).since(1).reversed.slides == (True, False)
+    assert again.slides == found.slides == again.cut_after(3).cut_before(1).reversal.slides == (True, False)
     assert certify(ROBOT, scene(), again).digests == certify(ROBOT, scene(), found).digests
     np.testing.assert_array_equal(read_motion(path).position, found.position)
     np.testing.assert_array_equal(read_waypoints(path, ROBOT.joint_names, ROBOT.slides), found.position)

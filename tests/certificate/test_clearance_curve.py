@@ -72,7 +72,7 @@ def check_against_coal(certificate: Certificate, step: float = 2e-3) -> int:
         for part, checker, deviations, *_ in motion.stretches:
             last = rows[min(part.stop, len(rows) - 1)]
             clock = np.unique([*np.arange(rows[part.start], last, step), *rows[part.start : part.stop], last])
-            covering = checker.covering(float(deviations.max()), motion.clearance)
+            covering = checker.with_margins(float(deviations.max()), motion.clearance)
             sways = pair_sways(covering, deviations)
             found = np.array([covering.pair_distances(q) for q in on_cubics(motion.trajectory, clock)])
             piece = np.clip(np.searchsorted(rows, clock, side="right") - 1 - part.start, 0, sways.shape[1] - 1)
@@ -107,7 +107,7 @@ def test_distances_and_names_at_the_stations_are_coals(robot: Robot, seed: int) 
     for q, distance, nearest in zip(
         on_cubics(motion.trajectory, curve.time), curve.distance_m, curve.nearest, strict=True
     ):
-        expected = checker.nearest(q)
+        expected = checker.nearest_contact(q)
         assert expected is not None
         assert distance == pytest.approx(expected.distance_m, abs=1e-7)
         found = checker.distances(q)[
@@ -123,16 +123,16 @@ def test_distances_and_names_at_the_stations_are_coals(robot: Robot, seed: int) 
 def test_thinned_it_is_nowhere_higher(robot: Robot, seed: int) -> None:
     random = np.random.default_rng(200 + seed)
     _, curve = certified(robot, random_scene(random), random_motion(robot, random, 1.5))
-    thin = curve.thinned(50)
+    thin = curve.thin(50)
     assert len(thin.time) == 50
     clock = np.union1d(np.linspace(0.0, 1.5, 4001), curve.time)
     high, low = (np.interp(clock, each.time, each.clearance_m) for each in (curve, thin))
     assert (low <= high + 1e-12).all()
     assert thin.clearance_m.min() == pytest.approx(curve.clearance_m.min())
     assert thin.distance_m.min() == curve.distance_m.min()
-    assert curve.thinned(len(curve.time)) is curve
+    assert curve.thin(len(curve.time)) is curve
     with pytest.raises(OptionError):
-        curve.thinned(1)
+        curve.thin(1)
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +155,7 @@ def test_of_a_plan_it_covers_all_phases(picked: Any) -> None:
 
 
 def test_motion_backwards_has_the_curve_backwards(picked: Any) -> None:
-    there, back = picked.certificate.clearance_curve, picked.certificate.reversed.clearance_curve
+    there, back = picked.certificate.clearance_curve, picked.certificate.reversal.clearance_curve
     clock = np.linspace(0.0, there.time[-1], 500)
     np.testing.assert_allclose(
         np.interp(there.time[-1] - clock, back.time, back.clearance_m),
@@ -163,7 +163,7 @@ def test_motion_backwards_has_the_curve_backwards(picked: Any) -> None:
         atol=1e-6,
     )
     # The retreat is the approach backwards, and the plan's certificate knows.
-    both = all_of([picked.certificate, picked.certificate.reversed]).clearance_curve
+    both = all_of([picked.certificate, picked.certificate.reversal]).clearance_curve
     assert both.time[-1] == pytest.approx(2.0 * there.time[-1])
     np.testing.assert_allclose(
         np.interp(clock, both.time, both.distance_m), np.interp(clock, there.time, there.distance_m), atol=1e-6
@@ -182,7 +182,7 @@ def test_where_obstacles_move_it_is_nowhere_above_their_distances_at_that_time(r
     bound = np.interp(clock, curve.time, curve.clearance_m)
     moved = scene.with_obstacles(items)
     for at, q, certain in zip(clock, on_cubics(motion, clock), bound, strict=True):
-        there = CoalScene(robot, moved.at(0.1 + at).solids)
+        there = CoalScene(robot, moved.snapshot(0.1 + at).solids)
         assert certain <= there.distances(q)[:, : there.own_first].min()
     np.testing.assert_array_less(curve.clearance_m, curve.distance_m)
 

@@ -46,22 +46,26 @@ def test_single_and_batch_check_agree_with_coal(robot, six_axes, clearance):
         q = np.random.default_rng(1).uniform(arm.lower, arm.upper, (60, arm.dof))
         found = hplan.check(arm, scene, q)
         apart = np.array([plain.pair_distances(row) for row in q])
-        kept, touched = (np.broadcast_to(plain.kept(keep), apart.shape) for keep in (clearance, 0.0))
+        kept, touched = (np.broadcast_to(plain.required_distance(keep), apart.shape) for keep in (clearance, 0.0))
         assert (found.valid == (apart > kept).all(axis=1)).all()
         assert (found.in_contact == (apart <= touched).any(axis=1)).all()
         least = np.argmin(apart - kept, axis=1)
         np.testing.assert_allclose(found.distance_m, apart[np.arange(60), least], atol=2e-6)
         assert 0 < found.in_contact.sum() < 60
         assert {type(contact) for contact in found.contacts} <= {Contact, OwnContact}
-        assert found.nearest.distance_m == found.distance_m.min()
+        assert found.nearest_contact.distance_m == found.distance_m.min()
         one = hplan.check(arm, scene, q[7].tolist())
-        assert (one.valid.shape, bool(one.valid), one.nearest.link) == ((), found.valid[7], found.contacts[7].link)
-        assert one.nearest.distance_m == one.distance_m == pytest.approx(found.distance_m[7], abs=2e-6)
+        assert (one.valid.shape, bool(one.valid), one.nearest_contact.link) == (
+            (),
+            found.valid[7],
+            found.contacts[7].link,
+        )
+        assert one.nearest_contact.distance_m == one.distance_m == pytest.approx(found.distance_m[7], abs=2e-6)
 
 
 def test_nothing_to_meet(robot):
     found = hplan.check(robot, scene_with([], 4), np.zeros((0, 4)))
-    assert (found.valid.shape, found.contacts, found.nearest) == ((0,), (), None)
+    assert (found.valid.shape, found.contacts, found.nearest_contact) == ((0,), (), None)
 
 
 def test_check_among_moving_obstacles_requires_time(robot):

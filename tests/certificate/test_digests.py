@@ -69,8 +69,11 @@ def test_scene(scene):
 
 
 def test_data_of_meshes_and_clouds_count_their_files_do_not(scene, tmp_path):
-    mesh, cloud = Mesh.of("m", CORNERS, FACES), PointCloud.of("p", CORNERS + 1.0, 0.1)
-    other_mesh, other_cloud = Mesh.of("m", 1.001 * CORNERS, FACES), PointCloud.of("p", CORNERS + 1.001, 0.1)
+    mesh, cloud = Mesh.from_arrays("m", CORNERS, FACES), PointCloud.from_points("p", CORNERS + 1.0, 0.1)
+    other_mesh, other_cloud = (
+        Mesh.from_arrays("m", 1.001 * CORNERS, FACES),
+        PointCloud.from_points("p", CORNERS + 1.001, 0.1),
+    )
     found = {scene_digest(scene.with_obstacles([item])) for item in (mesh, cloud, other_mesh, other_cloud)}
     assert len(found) == 4
     texts = []
@@ -111,13 +114,13 @@ def test_robot(robot, tmp_path):
 
 def test_plan_tour_and_certificate_carry_them(robot, scene, motion):
     result = hplan.plan(robot, scene)
-    expected = Digests.of(robot, scene, result.trajectory)
+    expected = Digests.compute(robot, scene, result.trajectory)
     assert result.certificate.digests == hplan.certify(robot, scene, result.trajectory).digests == expected
     assert result.report["certificate"]["digests"] == vars(expected)
     fruit = Fruit(name="f", center=tuple(robot.tool_positions([0.3, 0.4, 0.5, 0.3]).tolist()), radius=0.04)
     orchard = Scene(name="o", start=scene.start, goal=scene.goal, fruits=(fruit,))
     tour = hplan.plan_tour(robot, orchard)
-    assert tour.report["certificate"]["digests"] == vars(Digests.of(robot, orchard, tour.trajectory))
+    assert tour.report["certificate"]["digests"] == vars(Digests.compute(robot, orchard, tour.trajectory))
 
 
 GRIPPER = (

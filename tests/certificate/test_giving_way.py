@@ -11,10 +11,10 @@ from segments import segment_distances
 
 from hplan.certificate.certificate import certify
 from hplan.certificate.digests import scene_digest
-from hplan.collision.giving_way import HANGING_M, pushing_links, yielded
+from hplan.collision.giving_way import HANGING_M, maximum_deflection, pushing_links
 from hplan.errors import BlockedError, ConfigurationInCollisionError, OptionError, SceneError
 from hplan.planar.grid.sections import sections_at
-from hplan.planar.grids import prepared
+from hplan.planar.grids import prepare_world
 from hplan.planning.plan import plan
 from hplan.planning.world import World
 from hplan.robot.model import load_robot
@@ -127,16 +127,16 @@ def hanging(arm):
 def test_field_and_coal_agree_on_compliance_for_each_link():
     rng, robot = np.random.default_rng(5), load_robot()
     solids = [Box(name="box", center=(0.9, 0.4, 1.2), size=(0.2, 0.2, 0.2), yields=0.01)]
-    solids += PointCloud.of("cloud", rng.normal((1.0, -0.5, 1.2), 0.1, (300, 3)), 0.01, yields=0.015).solids
+    solids += PointCloud.from_points("cloud", rng.normal((1.0, -0.5, 1.2), 0.1, (300, 3)), 0.01, yields=0.015).solids
     for number in range(60):
         middle, half = rng.uniform([0.3, -1.0, 0.2], [1.6, 1.0, 2.0]), rng.normal(size=3)
         half *= 0.2 / np.linalg.norm(half)
         ends = {"from": tuple(middle - half), "to": tuple(middle + half)}
         kinds = {"radius": rng.uniform(0.003, 0.012), "yields": rng.choice([0.0, YIELDS])}
         solids.append(Capsule.model_validate({"name": f"twig {number}", **ends, **kinds}))
-    world = World.of(robot, solids, clearance=0.005)
+    world = World.build(robot, solids, clearance=0.005)
     for q in rng.uniform(robot.lower, robot.upper, (300, robot.dof)):
-        left = world.checker.pair_distances(q) - world.checker.kept(0.005)
+        left = world.checker.pair_distances(q) - world.checker.required_distance(0.005)
         by_link = left[: 3 * len(solids)].reshape(3, -1).min(axis=1)
         field = world.field.link_clearances(q, 100.0)[2:5]  # pedestal and turret come first, pairs last
         near = (by_link > -0.02) & (field > -0.02)
@@ -217,17 +217,19 @@ def test_last_two_links_deflect_up_to_their_thickness():
     assert pushing_links(planar, None) == ("forearm", "hand")
     assert pushing_links(general, None) == ("wrist_2_link", "wrist_3_link", "ee_link")
     ball = Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.004, yields=0.5)
-    assert yielded(planar, [ball], None) == pytest.approx(0.03 + 0.004)  # the axis of the hand meets the centre
-    assert yielded(general, [ball], None) == 0.004
-    cloud = PointCloud.of("cloud", np.random.default_rng(0).normal(size=(50, 3)), 0.01, yields=0.5)
-    assert 0.0 < yielded(general, cloud.solids, None)[0] < cloud.solids[0].rounding
+    assert maximum_deflection(planar, [ball], None) == pytest.approx(
+        0.03 + 0.004
+    )  # the axis of the hand meets the centre
+    assert maximum_deflection(general, [ball], None) == 0.004
+    cloud = PointCloud.from_points("cloud", np.random.default_rng(0).normal(size=(50, 3)), 0.01, yields=0.5)
+    assert 0.0 < maximum_deflection(general, cloud.solids, None)[0] < cloud.solids[0].rounding
 
 
 def test_sections_of_compliant_obstacles_are_smaller_for_deflecting_links():
     robot, scene = load_robot(), orchard(1)
-    soft = World.of(robot, scene.solids_with_goal)
-    firm = World.of(robot, [solid.model_copy(update={"yields": 0.0}) for solid in scene.solids_with_goal])
-    cuts = [sections_at(robot, prepared(world)) for world in (soft, firm)]
+    soft = World.build(robot, scene.solids_with_goal)
+    firm = World.build(robot, [solid.model_copy(update={"yields": 0.0}) for solid in scene.solids_with_goal])
+    cuts = [sections_at(robot, prepare_world(world)) for world in (soft, firm)]
     radii = [
         [
             {cut.obstacle_names[o]: r for o, r in zip(cut.obstacle_of[at], cut.radii[at], strict=True)}
@@ -269,13 +271,13 @@ def test_field_and_coal_agree_on_supports(arm, hanging):
     for scene, result, *_ in hanging[:3]:
         fruit = scene.goal_fruit
         solids = [*scene.solids_with_goal]
-        near = World.of(arm, solids, clearance=0.005).touching(fruit.name, fruit.hangs_from)
-        both = (near, near.touching(scene.fruits[3].name), World.of(arm, solids, clearance=0.005))
+        near = World.build(arm, solids, clearance=0.005).allow_touch(fruit.name, fruit.hangs_from)
+        both = (near, near.allow_touch(scene.fruits[3].name), World.build(arm, solids, clearance=0.005))
         grasp = result.trajectory.position[-1]
         seen = set()
         for q in grasp + 0.05 * rng.normal(size=(200, arm.dof)):
             for number, world in enumerate(both):
-                left = (world.checker.pair_distances(q) - world.checker.kept(0.005)).min()
+                left = (world.checker.pair_distances(q) - world.checker.required_distance(0.005)).min()
                 assert (left <= 1e-6) == (world.field.clearance(q) <= 1e-6)
                 seen.add((number, bool(left <= 1e-6)))
         assert {(0, False), (2, True)} <= seen
@@ -288,7 +290,7 @@ def test_support_is_rigid_for_other_links(arm):
         place = link_axes(arm, q)[link].mean(axis=0) + beside
         stub = Sphere(name="stub", center=tuple(place.tolist()), radius=0.01)
         fruit = Sphere(name="fruit", center=(0.0, 0.0, 3.0), radius=0.04)
-        near = World.of(arm, [stub, fruit]).touching("fruit", ["stub"])
+        near = World.build(arm, [stub, fruit]).allow_touch("fruit", ["stub"])
         assert (near.field.clearance(q) > 0.0) == (name in pushing_links(arm, None))
         if name in pushing_links(arm, None):
             near.check_clear(q, "start")
@@ -311,7 +313,7 @@ def test_scenes_keep_supports_of_fruit():
     assert type(scene.fruits[0])(**one).hangs_from == (first,)
     with pytest.raises(SceneError, match=r"fruits\[0\]\.hangs_from.*'no such twig' is not among the obstacles"):
         parse_scene(text.replace(f"hangs_from: [{first}", "hangs_from: [no such twig", 1))
-    near = scene.cropped(0.5, scene.fruits[0].center)
+    near = scene.crop(0.5, scene.fruits[0].center)
     names = {one.name for one in near.obstacles}
     assert all(names.issuperset(fruit.hangs_from) for fruit in near.fruits)
     assert not any(fruit.hangs_from for fruit in scene.with_obstacles([]).fruits)

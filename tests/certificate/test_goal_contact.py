@@ -27,7 +27,7 @@ from hplan.scene.file import load_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Sphere
 from hplan.scene.tracks import Track
-from hplan.trajectory.trajectory import Trajectory, joined, read_csv, scaled, stopped, write_csv
+from hplan.trajectory.trajectory import Trajectory, join_trajectories, read_csv, scale_motion, stop_motion, write_csv
 
 GRASP = np.radians([0.0, 20.0, 20.0, 20.0])
 
@@ -62,7 +62,7 @@ def through(robot, *configurations, seconds=4.0, rate=250):
         v = turn * (30 * s**2 - 60 * s**3 + 30 * s**4) / seconds
         a = turn * (60 * s - 180 * s**2 + 120 * s**3) / seconds**2
         parts.append(Trajectory(robot.joint_names, time, q, v, a, robot.dynamics.torques(q, v, a)))
-    return joined(parts)
+    return join_trajectories(parts)
 
 
 def test_certify_verifies_exported_plan(robot, picked, tmp_path):
@@ -137,11 +137,11 @@ def test_second_visit_is_refused(robot, picked):
         result.trajectory.time[rows] - result.trajectory.time[first],
         *(getattr(result.trajectory, name)[rows] for name in ("position", "velocity", "acceleration", "torque")),
     )
-    again = joined([result.trajectory, there])
+    again = join_trajectories([result.trajectory, there])
     # All of it is one straight segment: motion back and forth on the line is no other kind of contact.
     assert certify(robot, scene, again).verified
     aside = there.position[0] + np.radians([8.0, 0.0, 0.0, 0.0])
-    away = joined([result.trajectory, through(robot, there.position[0], aside, there.position[0]), there])
+    away = join_trajectories([result.trajectory, through(robot, there.position[0], aside, there.position[0]), there])
     certificate = certify(robot, scene, away)
     assert not certificate.verified
     assert "apple" in certificate.violations[0]
@@ -288,7 +288,7 @@ def test_stops_in_a_pick(part):
     assert found.certificate.verified, found.certificate.violations
     anew = certified_retiming(
         load_robot(), result.motion.problem.scene, result.certificate,
-        stopped(result.trajectory, part * result.trajectory.duration, load_robot()),
+        stop_motion(result.trajectory, part * result.trajectory.duration, load_robot()),
         tracking=STILL, sigmas=3.0, anew=True,
     )  # fmt: skip
     assert anew.certificate.verified, anew.certificate.violations
@@ -298,7 +298,7 @@ def test_insufficient_clearance_is_proved_again(robot):
     result = reference()
     scene = result.motion.problem.scene
     tight = replace(result.certificate, min_clearance_m=1e-6)
-    retimed = stopped(result.trajectory, 0.6, robot)
+    retimed = stop_motion(result.trajectory, 0.6, robot)
     found = certified_retiming(robot, scene, tight, retimed, tracking=STILL, sigmas=3.0)
     assert found.certificate.verified
     assert found.certificate.checks > tight.checks
@@ -311,7 +311,7 @@ def test_stop_in_contact_is_not_certified(robot):
     tool = robot.tool_positions(result.trajectory.position[[100]])[0]
     blocked = scene.with_obstacles([*scene.obstacles, Sphere(name="late", center=tuple(tool.tolist()), radius=0.05)])
     unknown = replace(result.certificate, verified=False)
-    retimed = stopped(result.trajectory, result.trajectory.time[150], robot)
+    retimed = stop_motion(result.trajectory, result.trajectory.time[150], robot)
     found = certified_retiming(robot, blocked, unknown, retimed, tracking=STILL, sigmas=3.0)
     assert not found.certificate.verified
     assert any("late" in violation for violation in found.certificate.violations)
@@ -319,7 +319,7 @@ def test_stop_in_contact_is_not_certified(robot):
 
 def test_other_speeds_are_certified(robot):
     result = picking()
-    found = result.scaled([(0.0, 1.0), (0.4, 1.0), (0.4, 0.3)])
+    found = result.scale_speed([(0.0, 1.0), (0.4, 1.0), (0.4, 0.3)])
     assert found.certificate.verified
     assert found.parts_s == pytest.approx(0.396)
     scene = result.motion.problem.scene
@@ -331,7 +331,7 @@ def test_faster_with_tracking_errors_that_grow_with_speed(robot):
     scene, tracking = load_scene(), TrackingModel(1e-3, 0.02)
     options = PlanOptions(speed=0.5, tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s)
     result = plan(robot, scene, options)
-    faster = scaled(result.trajectory, [(0.0, 1.0), (0.008, 1.0), (0.008, 1.5)], robot)
+    faster = scale_motion(result.trajectory, [(0.0, 1.0), (0.008, 1.0), (0.008, 1.5)], robot)
     found = certified_retiming(robot, scene, result.certificate, faster, tracking=tracking, sigmas=3.0)
     anew = certify(robot, scene, faster.trajectory, tracking_error=1e-3, tracking_delay_s=0.02)
     assert not anew.verified
@@ -346,7 +346,7 @@ def test_obstacle_that_comes_into_the_base_only_while_the_slower_motion_runs(rob
     scene, motion = scene_of(start, goal, [crate]), quintic(robot, start, goal, duration=3.0)
     running = certify(robot, scene, motion)
     assert running.verified
-    found = certified_retiming(robot, scene, running, scaled(motion, 0.35, robot), tracking=STILL, sigmas=3.0)
+    found = certified_retiming(robot, scene, running, scale_motion(motion, 0.35, robot), tracking=STILL, sigmas=3.0)
     assert not found.certificate.verified
     assert found.certificate.clear_until_s is None
     assert any("'crate' comes into the robot's" in violation for violation in found.certificate.violations)

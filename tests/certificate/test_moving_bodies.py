@@ -20,12 +20,20 @@ from hplan.geometry.hull import CUBE_CORNERS
 from hplan.planar.grid.occupancy import occupancy
 from hplan.planar.grid.prepared_obstacles import prepare_obstacles
 from hplan.planar.grid.sections import sections_at
-from hplan.planning.joint_ranges import MARGIN
+from hplan.planning.joint_ranges import RANGE_MARGIN
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.specialist import joint_ranges
 from hplan.planning.world import World
-from hplan.robot.base_shapes import GROUND, TURRET, always, base_shapes, coal_distance, ever, turning_shapes
+from hplan.robot.base_shapes import (
+    GROUND_CARRIER,
+    TURRET,
+    base_shapes,
+    coal_distance,
+    is_always_within,
+    may_reach,
+    turning_shapes,
+)
 from hplan.robot.self_contact import self_contact
 from hplan.scene.obstacles import Box, Capsule, Sphere
 
@@ -126,7 +134,7 @@ def test_ranges_of_yaw_are_those_of_coal(tmp_path, clearance, sigma):
             Sphere(name=f"o{i}", center=(r * math.cos(a), r * math.sin(a), z), radius=0.06, sigma=sigma)
             for i, (r, a, z) in enumerate(rng.uniform([0.2, -3.1, 0.2], [0.7, 3.1, 0.7], (2, 3)))
         ]
-        world = World.of(robot, obstacles, clearance=clearance, sigmas=2.0)
+        world = World.build(robot, obstacles, clearance=clearance, sigmas=2.0)
 
         def spare(yaw, obstacles=obstacles):
             found = [1.0]
@@ -142,10 +150,10 @@ def test_ranges_of_yaw_are_those_of_coal(tmp_path, clearance, sigma):
             continue
         ranges = joint_ranges(world.checker, start)
         for sign, end in ((-1.0, ranges.lower[0]), (1.0, ranges.upper[0])):
-            assert min(spare(yaw) for yaw in np.linspace(0.0, end, 400)) >= 0.99 * MARGIN
+            assert min(spare(yaw) for yaw in np.linspace(0.0, end, 400)) >= 0.99 * RANGE_MARGIN
             if abs(end) < math.pi:
                 walls += 1
-                assert spare(end + sign * 2e-3) < 1.2 * MARGIN
+                assert spare(end + sign * 2e-3) < 1.2 * RANGE_MARGIN
     assert walls > 6
 
 
@@ -280,9 +288,9 @@ def test_contact_at_all_yaws_and_at_any_yaw_are_certain():
         values = np.sin(np.linspace(low, high, 2001) + shift)
         wave = lambda x, shift=shift: math.sin(x + shift)  # noqa: E731
         if abs(values.min() - level) > 2e-4:
-            assert ever(wave, low, high, 1.0, level) == (values.min() < level)
+            assert may_reach(wave, low, high, 1.0, level) == (values.min() < level)
         if abs(values.max() - level) > 2e-4:
-            assert always(wave, low, high, 1.0, level) == (values.max() < level)
+            assert is_always_within(wave, low, high, 1.0, level) == (values.max() < level)
 
 
 # Links, turret and pedestal
@@ -300,10 +308,12 @@ def test_mast_on_turret_is_checked_against_every_link(tmp_path):
     with pytest.raises(NoPathError):
         plan(robot, scene_of(low, high, locked_joints=("base_yaw",)), PlanOptions(step_deg=3.0))
     # The mast turns with the arm: it is no nearer after a turn.
-    checker, field = CoalScene(robot, []), ClearanceField.of(robot, [])
+    checker, field = CoalScene(robot, []), ClearanceField.build(robot, [])
     for yaw in (-2.0, 0.7, 3.0):
         q = np.array([yaw, 0.1, 0.4, 0.2])
-        assert checker.nearest(q).distance_m == pytest.approx(checker.nearest([0.0, *q[1:]]).distance_m, abs=1e-9)
+        assert checker.nearest_contact(q).distance_m == pytest.approx(
+            checker.nearest_contact([0.0, *q[1:]]).distance_m, abs=1e-9
+        )
         assert field.clearance(q) == pytest.approx(field.clearance([0.0, *q[1:]]), abs=1e-12)
     result = plan(robot, scene_of((-100.0, 5.0, 0.0, 0.0), (100.0, 5.0, 80.0, 10.0)))
     assert result.certificate.verified
@@ -346,7 +356,7 @@ def _fitted_arms(folder, rng, count):
 
 def test_distances_and_sections_of_base_bodies_agree_with_coal(tmp_path):
     rng = np.random.default_rng(21)
-    near = {TURRET: 0, GROUND: 0}
+    near = {TURRET: 0, GROUND_CARRIER: 0}
     for robot in _fitted_arms(tmp_path, rng, 14):
         contact = self_contact(robot)
         bodies = [body for body in contact.bodies if not body.is_round]
@@ -362,13 +372,13 @@ def test_distances_and_sections_of_base_bodies_agree_with_coal(tmp_path):
                 key = robot.arm.link_names.index(moved.name), still.shapes[0]
                 if key in of_links:
                     known[number] = key
-        field = ClearanceField.of(robot, [])
+        field = ClearanceField.build(robot, [])
         grid = joint_grid(robot.arm, math.radians(25.0))
         nodes = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
         yaws = rng.uniform(robot.lower[0], robot.upper[0], 2) if robot.has_yaw else [0.0]
         for yaw in yaws:
             sections = sections_at(robot, prepare_obstacles([]), float(yaw))
-            ours = occupancy(robot.arm, sections, grid).occupied.ravel()
+            ours = occupancy(robot.arm, sections, grid).occupied_mask.ravel()
             for node, occupied in zip(nodes, ours, strict=True):
                 q = [yaw, *node] if robot.has_yaw else node
                 every = checker.pair_distances(q)
@@ -442,7 +452,7 @@ def test_folded_angles_are_those_of_coal(tmp_path, lengths, aside):
             )
             assert found == pytest.approx(expected, abs=1e-6)
             assert expected > 0.0 or not free.lower[2] < angle < free.upper[2]
-            assert expected < 2.0 * MARGIN or free.lower[2] < angle < free.upper[2]
+            assert expected < 2.0 * RANGE_MARGIN or free.lower[2] < angle < free.upper[2]
 
 
 def test_elbow_does_not_pass_through_its_fold(tmp_path):
@@ -539,7 +549,7 @@ def test_fixed_links_count_wherever_they_hang(tmp_path):
     robot = fitted(tmp_path, hung=hung)
     assert robot.arm.half_widths[0] == pytest.approx(math.hypot(0.2, 0.05))
     by_name = {base.name: base for base in base_shapes(robot)}
-    assert {name: by_name[name].carrier for name in ("cabinet", "mast")} == {"cabinet": GROUND, "mast": TURRET}
+    assert {name: by_name[name].carrier for name in ("cabinet", "mast")} == {"cabinet": GROUND_CARRIER, "mast": TURRET}
     assert turret_radius(robot) == pytest.approx(math.hypot(0.05, 0.55))
     assert own(robot, "mast") == [("mast", "cabinet")]
     ball = Sphere(name="ball", center=(-0.5, 0.0, 0.3), radius=0.05)

@@ -143,7 +143,7 @@ def test_how_long_the_arm_may_rest_where_it_ends(robot):
     if certificate.verified:
         assert 5.0 < certificate.clear_until_s < 10.0 - reach / 0.2 + 1.0
         least = coal_distances(
-            robot, np.radians(AWAY), scene_of(REST, AWAY, [ball]).at(certificate.clear_until_s).obstacles
+            robot, np.radians(AWAY), scene_of(REST, AWAY, [ball]).snapshot(certificate.clear_until_s).obstacles
         ).min()
         assert 0.0 < least < 1e-4
 
@@ -178,8 +178,8 @@ def test_every_kind_moves_and_sways(robot):
     for at_arm in (True, False):
         place = tuple((end + (0.0 if at_arm else np.array([0.0, -0.6, 0.0]))).tolist())
         for obstacle in (
-            PointCloud.of("it", rng.uniform(-0.1, 0.1, (30, 3)), 0.02, position=place, track=away),
-            Mesh.of("it", corners, faces, position=place, track=away),
+            PointCloud.from_points("it", rng.uniform(-0.1, 0.1, (30, 3)), 0.02, position=place, track=away),
+            Mesh.from_arrays("it", corners, faces, position=place, track=away),
             Box(
                 name="it",
                 center=place,
@@ -205,10 +205,10 @@ def test_checker_of_moving_obstacles_wants_a_time(robot):
     checker = CoalScene(robot, scene.listed_solids, movements=scene.movements)
     q = np.radians(REST)
     for time in (0.0, 0.3, 5.0):
-        still = CoalScene(robot, scene.at(time).solids)
+        still = CoalScene(robot, scene.snapshot(time).solids)
         np.testing.assert_allclose(checker.pair_distances(q, time), still.pair_distances(q), atol=1e-12)
-        assert checker.nearest(q, time).obstacle == still.nearest(q).obstacle
-        again = checker.touching("ball").covering(0.1, 0.01)
+        assert checker.nearest_contact(q, time).obstacle == still.nearest_contact(q).obstacle
+        again = checker.allow_touch("ball").with_margins(0.1, 0.01)
         assert np.isinf(again.distances(q, time)[len(checker.link_names) - 1, 0])
     for ask in (lambda: checker.distances(q), lambda: checker.place(q), lambda: checker.in_collision(q[None])):
         with pytest.raises(MovingObstacleError):
@@ -227,7 +227,7 @@ def test_many_obstacles_are_in_several_models(robot):
     checker = CoalScene(robot, scene.listed_solids, movements=scene.movements)
     pairs = np.array([5, 140, 299, 700])
     for time in (0.0, 0.5, 0.5, 1.0):
-        still = CoalScene(robot, scene.at(time).solids)
+        still = CoalScene(robot, scene.snapshot(time).solids)
         np.testing.assert_allclose(
             checker.pair_distances(np.radians(AWAY), time), still.pair_distances(np.radians(AWAY)), atol=1e-12
         )

@@ -61,7 +61,7 @@ def test_states_are_scipys(curve: Interpolation) -> None:
         expected = true(np.interp(places, np.arange(7), motion.time))
         np.testing.assert_allclose([point_at(bezier, place) for place in places], expected, rtol=0, atol=1e-12)
         np.testing.assert_allclose(motion.end_velocities, true.derivative(1)([0.0, motion.time[-1]]), atol=1e-9)
-        there = motion.reversed.positions(motion.duration - clock)
+        there = motion.reversal.positions(motion.duration - clock)
         if curve != "quintic" or apart_s < 1.0:
             np.testing.assert_allclose(there, true(clock), rtol=0, atol=1e-9)
 
@@ -91,7 +91,7 @@ def test_torques_are_bounded(curve: Interpolation, rotor: float) -> None:
     for robot in (load_robot(), load_robot(LIFT)):
         rng, model = np.random.default_rng(3), robot.model.copy()
         model.armature = np.full(robot.dof, rotor)
-        dynamics, data = InverseDynamics.of(model), model.createData()
+        dynamics, data = InverseDynamics.build(model), model.createData()
         for apart_s in (4e-3, 0.05, 0.3):
             motion, true = rows_of(robot, rng, apart_s, curve)
             bound = largest_torques(dynamics, *motion.segments, robot.torque_limit)

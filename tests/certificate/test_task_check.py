@@ -8,7 +8,7 @@ import pytest
 import hplan
 from hplan.certificate.certificate import certify
 from hplan.certificate.goal_contact import THERE
-from hplan.certificate.task_check import SAME
+from hplan.certificate.task_check import TASK_TOLERANCE
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import InputError
 from hplan.scene.model import Fruit, Goal, Scene, Start
@@ -30,7 +30,7 @@ def motion(robot, free):
 @pytest.mark.parametrize("joint", range(4))
 @pytest.mark.parametrize("which", ["start", "goal"])
 def test_begins_at_the_start_and_ends_at_the_goal(robot, free, motion, joint, which):
-    for by, verified in ((0.9 * SAME, True), (-1.1 * SAME, False), (0.01, False)):
+    for by, verified in ((0.9 * TASK_TOLERANCE, True), (-1.1 * TASK_TOLERANCE, False), (0.01, False)):
         values = list(START if which == "start" else GOAL)
         values[joint] += by
         kind = {"start": Start, "goal": Goal}[which]

@@ -213,7 +213,7 @@ def test_torques_are_bounded_whatever_the_tilt(first, second, third):
 @given(turns, turns, turns)
 @example((0.0, -25.0, 0.0), (0.0, 37.0, 0.0), (0.0, 0.0, 0.0))
 def test_the_largest_tilt_is_that_of_many_times(first, second, third):
-    base = Poses.of(scene((first, second, third)).base_track)
+    base = Poses.from_track(scene((first, second, third)).base_track)
     for begin, end in ((-3.0, -2.0), (-1.0, 1.5), (-2.0, 5.0), (4.0, 5.0)):
         rows = [time for time in base.times if begin <= time <= end]  # peaks of the tilt
         clock = np.sort(np.append(np.linspace(begin, end, 300), rows))

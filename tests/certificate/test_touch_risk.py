@@ -36,7 +36,7 @@ def things(shift: FloatArray | None = None) -> tuple[AnyObstacle, ...]:
         Sphere(name="ball", center=np.array([1.1, 0.29, 1.75]) + by, radius=0.06, sigma=0.012),
         Capsule(name="twig", start=ends[0] + by, end=ends[1] + by, radius=0.01, sigma=0.015),
         Box(name="box", center=box + by, size=(0.2, 0.1, 0.2), rpy_deg=(10.0, 20.0, 30.0), covariance=LONG),
-        PointCloud.of("leaves", points + by, 0.01, sigma=0.01),
+        PointCloud.from_points("leaves", points + by, 0.01, sigma=0.01),
     )
 
 
@@ -61,7 +61,11 @@ def test_errors_within_the_half_spaces_touch_nothing(robot: Robot, motion: Traje
     errors = scene.errors
     far = {name: 7.0 * float(np.sqrt(np.linalg.eigvalsh(error)[-1])) for name, error in errors.items()}
     found = np.concatenate(
-        [rows for proved, _ in risk_of(robot, scene, motion).subject.motions for rows in subject._along(proved, far)]
+        [
+            rows
+            for proved, _ in risk_of(robot, scene, motion).subject.motions
+            for rows in subject._iterate_half_spaces(proved, far)
+        ]
     )
     rows = {name: found[found[:, 0] == place] for place, name in enumerate(errors)}
     assert all(len(part) for part in rows.values())
@@ -82,19 +86,19 @@ def test_errors_within_the_half_spaces_touch_nothing(robot: Robot, motion: Traje
 
 @pytest.mark.parametrize("gap", [0.5, 2.0, 4.0])
 def test_one_plane_planes_all_round_and_those_between(gap: float) -> None:
-    one = subject._beyond(np.array([[0.0, 0.6, 0.8]]), np.array([gap]), np.eye(3))
+    one = subject._exit_probability(np.array([[0.0, 0.6, 0.8]]), np.array([gap]), np.eye(3))
     assert NormalDist().cdf(-gap) <= one <= 1.3 * NormalDist().cdf(-gap)
     random = np.random.default_rng(0)
     round_about = random.normal(size=(4000, 3))
     round_about /= np.linalg.norm(round_about, axis=1, keepdims=True)
-    ball = subject._beyond(round_about, np.full(4000, gap), np.eye(3))
+    ball = subject._exit_probability(round_about, np.full(4000, gap), np.eye(3))
     assert ball == pytest.approx(chi(3).sf(gap), rel=0.03)
     normals, gaps = round_about[:6], gap * random.uniform(0.8, 1.5, 6)
     root = random.normal(size=(3, 3))
     draws = random.normal(size=(400_000, 3)) @ root.T
     deviations = np.linalg.norm(normals @ root, axis=1)
     truth = float((draws @ normals.T >= gaps * deviations).any(axis=1).mean())
-    bound = subject._beyond(normals, gaps * deviations, root @ root.T)
+    bound = subject._exit_probability(normals, gaps * deviations, root @ root.T)
     assert truth - 4.0 * math.sqrt(truth / 400_000) <= bound <= 1.25 * truth + 1e-4
 
 

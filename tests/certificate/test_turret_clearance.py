@@ -39,7 +39,7 @@ def from_turret(robot: Robot, center: np.ndarray, radius: float) -> float:
 def test_round_turret_counts(robot: Robot, center: tuple[float, ...], sigma: float) -> None:
     ball = Sphere(name="ball", center=center, radius=0.04, sigma=sigma)
     true = from_turret(robot, np.array(center), 0.04) - 3.0 * sigma
-    for obstacle in (ball, PointCloud.of("ball", np.array([center]), radius=0.04, sigma=sigma)):
+    for obstacle in (ball, PointCloud.from_points("ball", np.array([center]), radius=0.04, sigma=sigma)):
         result = hplan.plan(robot, a_scene(obstacle), hplan.PlanOptions(effort="quick"))
         assert result.certificate.verified
         assert true - 1e-4 < result.certificate.min_clearance_m <= true + 1e-9

@@ -40,7 +40,7 @@ def solids() -> list[Solid]:
     return [
         *SOLIDS,
         hull_of(np.array([0.1, -0.6, 0.9]) + 0.12 * points / np.linalg.norm(points, axis=1)[:, None], "stone"),
-        Cloud.of("leaves", np.array([0.3, 0.6, 0.7]) + 0.1 * generator.normal(size=(300, 3)), 0.01),
+        Cloud.from_points("leaves", np.array([0.3, 0.6, 0.7]) + 0.1 * generator.normal(size=(300, 3)), 0.01),
         *(Sphere(name="fruit", center=tuple(generator.uniform(-1.2, 1.2, 3)), radius=0.03) for _ in range(24)),
         *(
             Box(
@@ -87,7 +87,7 @@ def by_coal(robot: Robot, solids: list[Solid], q: FloatArray) -> FloatArray:
 
 
 def test_bodies_are_where_pinocchio_has_them(arm: Robot) -> None:
-    field = ClearanceField.of(arm, [])
+    field = ClearanceField.build(arm, [])
     bodies = collision_bodies(arm)
     placed, frames = np.empty(len(field.arm.bodies), PLACED), np.empty((arm.dof + 1, 12))
     for q in np.random.default_rng(0).uniform(arm.lower, arm.upper, (20, arm.dof)):
@@ -114,7 +114,7 @@ def test_bodies_are_where_pinocchio_has_them(arm: Robot) -> None:
 @given(SEEDS)
 @settings(max_examples=25)
 def test_clearances_are_those_of_coal(arm: Robot, solids: list[Solid], seed: int) -> None:
-    field = ClearanceField.of(arm, solids)
+    field = ClearanceField.build(arm, solids)
     q = np.random.default_rng(seed).uniform(arm.lower, arm.upper)
     found, expected = field.link_clearances(q), by_coal(arm, solids, q)
     apart = (expected > 0.0) & (expected < FAR)
@@ -125,27 +125,27 @@ def test_clearances_are_those_of_coal(arm: Robot, solids: list[Solid], seed: int
 
 def test_grown_obstacles_and_deviations_leave_less(arm: Robot, solids: list[Solid]) -> None:
     q = np.array([0.3, 0.5, 0.4, -0.3, 0.5, 0.2])[: arm.dof]
-    plain = ClearanceField.of(arm, solids).link_clearances(q)
+    plain = ClearanceField.build(arm, solids).link_clearances(q)
     bodies = len(collision_bodies(arm))
     near = plain < FAR - 0.05
-    grown = ClearanceField.of(arm, solids, clearance=0.01, own_clearance=0.0).link_clearances(q)
+    grown = ClearanceField.build(arm, solids, clearance=0.01, own_clearance=0.0).link_clearances(q)
     moving = near & (np.arange(len(near)) < bodies)
     assert grown[moving] == pytest.approx(plain[moving] - 0.01, abs=1e-9)
     assert grown[bodies:] == pytest.approx(plain[bodies:])
-    swaying = ClearanceField.of(arm, solids, deviation=0.01).link_clearances(q)
-    bounds = 0.01 * ClearanceField.of(arm, solids).reaches.sum(axis=1)
+    swaying = ClearanceField.build(arm, solids, deviation=0.01).link_clearances(q)
+    bounds = 0.01 * ClearanceField.build(arm, solids).reaches.sum(axis=1)
     assert swaying[near] == pytest.approx((plain - bounds)[near], abs=1e-9)
 
 
 @given(SEEDS)
 @settings(max_examples=40)
 def test_motions_shown_clear_are_clear(arm: Robot, solids: list[Solid], seed: int) -> None:
-    field = ClearanceField.of(arm, solids)
+    field = ClearanceField.build(arm, solids)
     generator = np.random.default_rng(seed)
     start = generator.uniform(arm.lower, arm.upper)
     ends = start + generator.uniform(-0.4, 0.4, (3, arm.dof))
     along = start + np.linspace(0.0, 1.0, 40)[:, None] * (ends[2] - start)
-    least = field.along(along).min()
+    least = field.clearance_along(along).min()
     shown = bool(segment_is_clear(start, ends[2], field.arrays, 1e-3))
     assert shown == field.is_clear([start, ends[2]], 1e-3)
     assert not shown or least > 5e-4
@@ -158,15 +158,15 @@ def test_motions_shown_clear_are_clear(arm: Robot, solids: list[Solid], seed: in
     piece = np.stack([start, *ends])
     t = np.linspace(0.0, 1.0, 40)[:, None]
     curve = (1 - t) ** 3 * piece[0] + 3 * (1 - t) ** 2 * t * piece[1] + 3 * (1 - t) * t**2 * piece[2] + t**3 * piece[3]
-    assert not piece_is_clear(piece, field.arrays, 1e-3, 0.0) or field.along(curve).min() > 5e-4
+    assert not piece_is_clear(piece, field.arrays, 1e-3, 0.0) or field.clearance_along(curve).min() > 5e-4
 
 
 def test_distant_obstacles_are_left_out(arm: Robot, solids: list[Solid]) -> None:
-    whole = ClearanceField.of(arm, solids)
+    whole = ClearanceField.build(arm, solids)
     path = np.array([[0.3, 0.5, 0.4, -0.3, 0.5, 0.2], [0.5, 0.6, 0.4, -0.3, 0.5, 0.2]])[:, : arm.dof]
-    near = whole.near(path, 0.1)
+    near = whole.select_near(path, 0.1)
     assert 0 < len(near.solids) < len(whole.solids)
-    clear, all_clear = near.along(path), whole.along(path)
+    clear, all_clear = near.clearance_along(path), whole.clearance_along(path)
     assert clear[all_clear < 0.1] == pytest.approx(all_clear[all_clear < 0.1])
     assert (clear >= all_clear - 1e-12).all()
 
@@ -174,7 +174,7 @@ def test_distant_obstacles_are_left_out(arm: Robot, solids: list[Solid]) -> None
 @given(SEEDS)
 @settings(max_examples=25)
 def test_gradients_are_those_of_differences(arm: Robot, solids: list[Solid], seed: int) -> None:
-    field = ClearanceField.of(arm, solids)
+    field = ClearanceField.build(arm, solids)
     q = np.random.default_rng(seed).uniform(arm.lower, arm.upper)
     joints = np.array([0, 1, 2, 4, 5] if arm.dof > 4 else [0, 1, 3])
     clear, gradient = np.empty(field.count), np.empty((field.count, len(joints)))

@@ -31,7 +31,7 @@ def variant(request, tmp_path):
 
 
 def assert_clearances_match(robot, obstacles, configurations):
-    field = ClearanceField.of(robot, obstacles)
+    field = ClearanceField.build(robot, obstacles)
     contacts = 0
     for q in configurations:
         expected = coal_distances(robot, q, obstacles).min(axis=1)
@@ -79,7 +79,7 @@ def test_hulls_are_those_of_coal(variant, count):
     free = 0
     for index in range(6):
         hull = random_hull(rng, index, count)
-        field, checker = ClearanceField.of(variant, [hull]), CoalScene(variant, [hull])
+        field, checker = ClearanceField.build(variant, [hull]), CoalScene(variant, [hull])
         for q in rng.uniform(variant.lower, variant.upper, (12, variant.dof)):
             expected, found = checker.distances(q)[:, 0], field.link_clearances(q, ALL)
             apart = expected > TOUCH
@@ -94,8 +94,8 @@ def test_clouds_ball_by_ball(variant, count):
     rng = np.random.default_rng(count)
     for spread in (0.05, 1.0):
         points = rng.normal(size=(count, 3)) * spread * [1.0, 1.0, 0.2] + rng.uniform(-1, 1, 3)
-        cloud = Cloud.of("cloud", points, 0.02)
-        field = ClearanceField.of(variant, [cloud], clearance=0.01)
+        cloud = Cloud.from_points("cloud", points, 0.02)
+        field = ClearanceField.build(variant, [cloud], clearance=0.01)
         for q in rng.uniform(variant.lower, variant.upper, (15, variant.dof)):
             np.testing.assert_allclose(field.link_clearances(q, ALL), by_points(variant, q, cloud) - 0.01, atol=1e-9)
 
@@ -108,7 +108,7 @@ def test_cylinders_from_outside(robot):
         length, radius = np.exp(rng.uniform(np.log(0.02), np.log(0.4), 2))
         rpy = tuple(rng.choice([0.0, 90.0, 33.0], 3))
         can = Cylinder(name="can", center=center, length=length, radius=radius, rpy_deg=rpy)
-        field, checker = ClearanceField.of(robot, can.solids), CoalScene(robot, can.solids)
+        field, checker = ClearanceField.build(robot, can.solids), CoalScene(robot, can.solids)
         for q in rng.uniform(robot.lower, robot.upper, (20, 4)):
             true, found = from_obstacles(checker, q)[:, 0], field.link_clearances(q, ALL)[LINKS]
             apart = true > 1e-3
@@ -125,7 +125,9 @@ LINKS = slice(2, 5)
 
 def crowd(rng):
     """Solids of all kinds, clouds between others, and a clearance for each."""
-    clouds = [Cloud.of(f"c{i}", rng.uniform([0.3, -0.9, 0.3], [1.7, 0.9, 1.9], (120, 3)), 0.01) for i in range(2)]
+    clouds = [
+        Cloud.from_points(f"c{i}", rng.uniform([0.3, -0.9, 0.3], [1.7, 0.9, 1.9], (120, 3)), 0.01) for i in range(2)
+    ]
     solids = [*random_obstacles(rng, 6), random_hull(rng, 0), *clouds, random_hull(rng, 1)]
     solids = [solids[i] for i in rng.permutation(len(solids))]
     return solids, rng.uniform(0.0, 0.1, len(solids))
@@ -135,9 +137,9 @@ def test_each_obstacle_grown_by_its_own_clearance(robot):
     rng = np.random.default_rng(9)
     for _ in range(4):
         solids, keep = crowd(rng)
-        field = ClearanceField.of(robot, solids, clearance=keep, own_clearance=0.0)
+        field = ClearanceField.build(robot, solids, clearance=keep, own_clearance=0.0)
         alone = [
-            ClearanceField.of(robot, [solid], clearance=each, own_clearance=0.0)
+            ClearanceField.build(robot, [solid], clearance=each, own_clearance=0.0)
             for solid, each in zip(solids, keep, strict=True)
         ]
         for q in rng.uniform(robot.lower, robot.upper, (15, 4)):
@@ -150,10 +152,10 @@ def test_only_some_of_the_solids(robot):
     rng = np.random.default_rng(10)
     for _ in range(6):
         solids, keep = crowd(rng)
-        field = ClearanceField.of(robot, solids, clearance=keep, own_clearance=0.0)
+        field = ClearanceField.build(robot, solids, clearance=keep, own_clearance=0.0)
         kept = rng.random(len(solids)) < 0.5
-        some = field.only(kept)
-        made = ClearanceField.of(
+        some = field.select(kept)
+        made = ClearanceField.build(
             robot,
             [solid for solid, wanted in zip(solids, kept, strict=True) if wanted],
             clearance=keep[kept],
@@ -162,8 +164,8 @@ def test_only_some_of_the_solids(robot):
         assert set(some.owner.tolist()) == set(np.flatnonzero(kept).tolist())
         for q in rng.uniform(robot.lower, robot.upper, (15, 4)):
             np.testing.assert_array_equal(some.link_clearances(q, ALL), made.link_clearances(q, ALL))
-    assert field.only(np.zeros(len(solids), dtype=bool)).clearance(np.zeros(4)) == FAR
-    np.testing.assert_array_equal(field.only(np.ones(len(solids), dtype=bool)).solids, field.solids)
+    assert field.select(np.zeros(len(solids), dtype=bool)).clearance(np.zeros(4)) == FAR
+    np.testing.assert_array_equal(field.select(np.ones(len(solids), dtype=bool)).solids, field.solids)
     assert not some.solids.flags.writeable
 
 
@@ -172,17 +174,17 @@ def test_ignored_solids_do_not_count_for_last_link(robot):
     rng = np.random.default_rng(13)
     for _ in range(6):
         solids, keep = crowd(rng)
-        field, touched = ClearanceField.of(robot, solids, clearance=keep), rng.random(len(solids)) < 0.5
-        spared, without = field.sparing(touched), field.only(~touched)
+        field, touched = ClearanceField.build(robot, solids, clearance=keep), rng.random(len(solids)) < 0.5
+        spared, without = field.ignoring_last_link(touched), field.select(~touched)
         for q in rng.uniform(robot.lower, robot.upper, (15, 4)):
             expected = field.link_clearances(q, ALL)
             expected[LINKS.stop - 1] = without.link_clearances(q, ALL)[LINKS.stop - 1]
             np.testing.assert_array_equal(spared.link_clearances(q, ALL), expected)
-            near = spared.near(q[None], 0.1).link_clearances(q, ALL)
+            near = spared.select_near(q[None], 0.1).link_clearances(q, ALL)
             np.testing.assert_array_equal(near[expected < 0.1], expected[expected < 0.1])
-        np.testing.assert_array_equal(field.sparing(np.zeros(len(solids), dtype=bool)).solids, field.solids)
-    nothing = ClearanceField.of(robot, [])
-    assert nothing.sparing(np.zeros(0, dtype=bool)).clearance(np.zeros(4)) == FAR
+        np.testing.assert_array_equal(field.ignoring_last_link(np.zeros(len(solids), dtype=bool)).solids, field.solids)
+    nothing = ClearanceField.build(robot, [])
+    assert nothing.ignoring_last_link(np.zeros(0, dtype=bool)).clearance(np.zeros(4)) == FAR
 
 
 def test_near_a_motion_the_field_is_the_whole_one(robot):
@@ -192,10 +194,10 @@ def test_near_a_motion_the_field_is_the_whole_one(robot):
     for distance in (0.05, 0.3):
         for _ in range(6):
             solids, keep = crowd(rng)
-            field = ClearanceField.of(robot, solids, clearance=keep)
+            field = ClearanceField.build(robot, solids, clearance=keep)
             steps = np.vstack([rng.uniform(0, 1.2, 4), rng.normal(0, 0.3, (3, 4))])
             path = np.clip(np.cumsum(steps, axis=0), robot.lower, robot.upper)
-            some = field.near(path, distance)
+            some = field.select_near(path, distance)
             left_out += len(field.solids) - len(some.solids)
             for a, b in itertools.pairwise(path):
                 for t in np.linspace(0.0, 1.0, 25):
@@ -213,7 +215,7 @@ def test_near_a_motion_the_field_is_the_whole_one(robot):
 def test_near_query_finds_link_off_the_plane(tmp_path):
     aside = fitted(tmp_path, link_offsets=(0.0, 0.0, 0.5))
     balls = [Sphere(name=f"b{y}", center=(2.0, y, 0.6), radius=0.05) for y in (0.0, 0.5)]
-    assert ClearanceField.of(aside, balls).near(np.zeros((1, 4)), 0.05).owner.tolist() == [1]
+    assert ClearanceField.build(aside, balls).select_near(np.zeros((1, 4)), 0.05).owner.tolist() == [1]
 
 
 # Bounds on motion
@@ -225,7 +227,7 @@ def bounds_of(field, turns):
 
 def test_no_axis_point_moves_farther_than_the_bound(variant):
     rng = np.random.default_rng(7)
-    field = ClearanceField.of(variant, [])
+    field = ClearanceField.build(variant, [])
     closest = 0.0
     for _ in range(25):
         start, end = rng.uniform(variant.lower, variant.upper, (2, variant.dof))
@@ -254,7 +256,7 @@ def random_motions(robot, rng, count):
     found = 0
     while found < count:
         obstacles = random_obstacles(rng, 3)
-        checker, field = CoalScene(robot, obstacles), ClearanceField.of(robot, obstacles)
+        checker, field = CoalScene(robot, obstacles), ClearanceField.build(robot, obstacles)
         for _ in range(20):
             start = rng.uniform(robot.lower, robot.upper)
             end = np.clip(start + rng.uniform(-0.5, 0.5, robot.dof), robot.lower, robot.upper)
@@ -287,7 +289,7 @@ def test_contact_for_a_moment_is_refused(robot):
         for gap, clear in ((-depth, False), (depth, True)):
             reach = 2.2 + 0.03 + 0.001 + gap
             bead = Sphere(name="bead", center=(reach * np.cos(at), 0, 0.6 + reach * np.sin(at)), radius=0.001)
-            field = ClearanceField.of(robot, [bead])
+            field = ClearanceField.build(robot, [bead])
             assert field.is_clear([start, end], 0.5e-4) is clear
             assert field.is_clear([end, start], 0.5e-4) is clear
 
@@ -296,7 +298,7 @@ def test_contact_for_a_moment_is_refused(robot):
 def test_motion_that_is_not_a_number_is_not_clear(robot, scene, joint):
     path = np.radians([[0.0, 0, 0, 0], [0, 10, 0, 0]])
     path[1, joint] = np.nan
-    assert not ClearanceField.of(robot, scene.solids).is_clear(path, 1e-3)
+    assert not ClearanceField.build(robot, scene.solids).is_clear(path, 1e-3)
 
 
 def test_groups_of_solids_change_no_distance(robot, monkeypatch):
@@ -309,10 +311,10 @@ def test_groups_of_solids_change_no_distance(robot, monkeypatch):
         solids = random_obstacles(rng, 2 * count)
         solids = [solid for solid in solids if not isinstance(solid, Box)]
         solids = [*solids[:count], random_hull(rng, 7), *solids[count:]]
-        field = ClearanceField.of(robot, solids)
+        field = ClearanceField.build(robot, solids)
         with monkeypatch.context() as patched:
             patched.setattr(obstacle_rows, "_MANY", math.inf)
-            alone = ClearanceField.of(robot, solids)
+            alone = ClearanceField.build(robot, solids)
         assert (len(solids) < 32) == (len(field.solids) == len(alone.solids))
         assert sorted(field.owner[field.owner >= 0].tolist()) == alone.owner.tolist()
         for s in np.flatnonzero(field.solids["kind"] == obstacle_rows.NODE).tolist():
@@ -323,17 +325,19 @@ def test_groups_of_solids_change_no_distance(robot, monkeypatch):
         kept, q = rng.random(len(solids)) < 0.5, rng.uniform(robot.lower, robot.upper, (60, 4))
         for one, other in (
             (field, alone),
-            (field.only(kept), alone.only(kept)),
-            (field.sparing(kept), alone.sparing(kept)),
-            (field.only(kept, arm=False), alone.only(kept, arm=False)),
-            (field.near(q[:3], 0.2), alone.near(q[:3], 0.2)),
+            (field.select(kept), alone.select(kept)),
+            (field.ignoring_last_link(kept), alone.ignoring_last_link(kept)),
+            (field.select(kept, arm=False), alone.select(kept, arm=False)),
+            (field.select_near(q[:3], 0.2), alone.select_near(q[:3], 0.2)),
         ):
-            np.testing.assert_array_equal(*(np.maximum(found.along(q), 0.0) for found in (one, other)))
-        assert set(field.near(q[:3], 0.2).owner.tolist()) - {-1} == set(alone.near(q[:3], 0.2).owner.tolist()) - {-1}
+            np.testing.assert_array_equal(*(np.maximum(found.clearance_along(q), 0.0) for found in (one, other)))
+        assert set(field.select_near(q[:3], 0.2).owner.tolist()) - {-1} == set(
+            alone.select_near(q[:3], 0.2).owner.tolist()
+        ) - {-1}
 
 
 def test_without_idle_pairs_near_ones_stay(variant):
-    field = ClearanceField.of(variant, [])
+    field = ClearanceField.build(variant, [])
     path = np.random.default_rng(5).uniform(variant.lower, variant.upper, (20, variant.dof))
     movable = np.arange(variant.dof)
     for turn in (1e9, 0.0):

@@ -89,7 +89,7 @@ def test_cloud_is_its_balls(robot, shape):
         "one": points[:1],
         "twins": np.repeat(points[:2], 9, axis=0),
     }[shape]
-    cloud = Cloud.of("cloud", points, 0.03)
+    cloud = Cloud.from_points("cloud", points, 0.03)
     balls = [Sphere(name=f"b{i}", center=tuple(point), radius=0.03) for i, point in enumerate(cloud.core.tolist())]
     checker, by_balls = (CoalScene(robot, solids) for solids in ([cloud], balls))
     configurations = rng.uniform(robot.lower, robot.upper, (40, 4)) * [0.3, 1, 1, 1]
@@ -114,7 +114,7 @@ def test_cloud_is_its_balls(robot, shape):
 
 def test_growth_of_each_obstacle(robot):
     rng = np.random.default_rng(7)
-    cloud = Cloud.of("cloud", rng.uniform([0.4, -0.6, 0.5], [1.8, 0.6, 1.7], (30, 3)), 0.02)
+    cloud = Cloud.from_points("cloud", rng.uniform([0.4, -0.6, 0.5], [1.8, 0.6, 1.7], (30, 3)), 0.02)
     obstacles = [*random_obstacles(rng, 6), cloud]
     growth = rng.uniform(0.0, 0.1, len(obstacles))
     plain = CoalScene(robot, obstacles)
@@ -128,7 +128,7 @@ def test_growth_of_each_obstacle(robot):
             grown.place(q)
             one_by_one = grown.distances_of(np.arange(len(grown.pairs)))
             np.testing.assert_allclose(grown.pair_distances(q), one_by_one, atol=1e-5)  # coal starts from another guess
-            assert grown.nearest(q).distance_m == pytest.approx(least[-1], abs=1e-5)
+            assert grown.nearest_contact(q).distance_m == pytest.approx(least[-1], abs=1e-5)
         sure = np.abs(least) > 1e-4
         np.testing.assert_array_equal(grown.in_collision(configurations)[sure], (np.array(least) <= 0.0)[sure])
 
@@ -136,7 +136,7 @@ def test_growth_of_each_obstacle(robot):
 def test_last_link_may_touch(robot):
     fruit, other = ball(2.1, 0, 0.6, radius=0.05, name="fruit"), ball(2.0, 0.3, 0.7, name="other")
     checker = CoalScene(robot, [fruit, other], growth=[0.01, 0.0])
-    free = checker.touching("fruit")
+    free = checker.allow_touch("fruit")
     full, table = from_obstacles(checker, FLAT), from_obstacles(free, FLAT)
     assert full[2, 0] < 0.0
     assert table[2, 0] == np.inf
@@ -144,7 +144,7 @@ def test_last_link_may_touch(robot):
     np.testing.assert_array_equal(table[:, 1], full[:, 1])
     assert checker.in_collision([FLAT]).tolist() == [True]
     assert free.in_collision([FLAT]).tolist() == [False]
-    assert checker.nearest(FLAT).obstacle == "fruit"
+    assert checker.nearest_contact(FLAT).obstacle == "fruit"
     nearest = free.distances(FLAT)[:, : free.own_first].min()
     assert nearest == free.distances(FLAT)[:, 1].min()
     pairs = free.pair_distances(FLAT)
@@ -153,12 +153,12 @@ def test_last_link_may_touch(robot):
     assert free.distances_of(np.flatnonzero(np.isinf(pairs))[:1]) == np.inf
     # Of others, and of links before the last, it is still an obstacle.
     assert free.in_collision([[0.0, 0.0, 0.0, 0.0], [0.15, 0.05, 0.0, 0.0]]).tolist() == [False, True]
-    onto = checker.touching("other").touching("fruit")
+    onto = checker.allow_touch("other").allow_touch("fruit")
     assert np.isinf(from_obstacles(onto, FLAT)[2]).all()
-    assert (from_obstacles(checker.touching("nobody"), FLAT) == full).all()
-    inside = CoalScene(robot, [ball(1.4, 0, 0.6, name="fruit")]).touching("fruit")
+    assert (from_obstacles(checker.allow_touch("nobody"), FLAT) == full).all()
+    inside = CoalScene(robot, [ball(1.4, 0, 0.6, name="fruit")]).allow_touch("fruit")
     assert inside.in_collision([FLAT]).tolist() == [True]
-    assert inside.nearest(FLAT).link == "forearm"
+    assert inside.nearest_contact(FLAT).link == "forearm"
 
 
 # Shapes of the links
@@ -289,9 +289,12 @@ def brute_force(points: np.ndarray, shape: coal.CollisionGeometry, place: pin.SE
 @given(st.integers(0, 10_000), st.sampled_from(sorted(SHAPES)), st.sampled_from([1, 40, 700]))
 def test_blocks_are_their_points(seed, kind, count):
     rng = np.random.default_rng(seed)
-    cloud = Cloud.of("cloud", rng.uniform(-1.0, 1.0, (count, 3)) * [1.0, 1.0, rng.choice([0.0, 1.0])], 0.02)
+    cloud = Cloud.from_points("cloud", rng.uniform(-1.0, 1.0, (count, 3)) * [1.0, 1.0, rng.choice([0.0, 1.0])], 0.02)
     shape, place = SHAPES[kind], placed(rng)
-    found, expected = PointBlocks.of(cloud).distance(BareShape.of(shape), place), brute_force(cloud.core, shape, place)
+    found, expected = (
+        PointBlocks.from_cloud(cloud).distance(BareShape.strip(shape), place),
+        brute_force(cloud.core, shape, place),
+    )
     if expected > 1e-5:
         assert found == pytest.approx(expected, abs=3e-6)
         assert distance_from(cloud)(shape, place) == pytest.approx(expected - 0.02, abs=3e-6)
@@ -306,8 +309,8 @@ def test_blocks_are_their_points(seed, kind, count):
 @given(st.integers(0, 10_000), st.sampled_from(sorted(SHAPES)))
 def test_blocks_come_nearest_first_and_bound_distances_from_below(seed, kind):
     rng = np.random.default_rng(seed)
-    cloud, place = Cloud.of("cloud", rng.uniform(-1.0, 1.0, (1000, 3)), 0.02), placed(rng)
-    shape = BareShape.of(SHAPES[kind])
+    cloud, place = Cloud.from_points("cloud", rng.uniform(-1.0, 1.0, (1000, 3)), 0.02), placed(rng)
+    shape = BareShape.strip(SHAPES[kind])
     farthest, after, found = rng.choice([0.5, np.inf]), (-np.inf, -1), {}
     poses = place.rotation, place.translation
     while (after := nearest_block(poses, shape.core, cloud.tree, after, farthest))[1] >= 0:
@@ -457,7 +460,7 @@ def test_one_for_each_pair(robot):
     lengths = robot.arm.lengths
     np.testing.assert_allclose(table[:, 1] - table[:, 0], PARALLEL / lengths, atol=2e-9)
     np.testing.assert_allclose(table[:, 2], ITERATION + 50.0 * SIZE, rtol=1e-4)
-    np.testing.assert_array_equal(checker.touching("s").distance_errors, errors)
+    np.testing.assert_array_equal(checker.allow_touch("s").distance_errors, errors)
 
 
 def test_proof_takes_them_off(robot, monkeypatch):

@@ -12,7 +12,7 @@ import trimesh
 from any_arms import ARMS, limb, loaded_arm
 from shapes import torus
 
-from hplan.collision.collision_bodies import MOST_POINTS, body_shapes, collision_bodies
+from hplan.collision.collision_bodies import MOST_BODY_POINTS, body_shapes, collision_bodies
 from hplan.collision.flat_bodies import FlatBodies
 from hplan.collision.reach import ON_AXIS, carriers, joint_axis, reach
 from hplan.collision.touching_pairs import required_distances, self_pairs
@@ -54,7 +54,7 @@ def test_bodies_hold_the_urdfs_shapes(load, name):
         heights, least = points @ directions.T, np.full(len(points), np.inf)
         own = [body for body in bodies if number in body.shapes]
         for body in own:
-            assert 1 <= len(body.core) <= MOST_POINTS
+            assert 1 <= len(body.core) <= MOST_BODY_POINTS
             assert body.joint == shape.parentJoint - 1
             support = (directions @ body.core.T).max(axis=1) + body.rounding
             least = np.minimum(least, (heights - support).max(axis=1))
@@ -160,10 +160,10 @@ def points_of(body, shape):
     return np.vstack([body.core, vertices])
 
 
-@pytest.mark.parametrize(("name", "most"), [*((name, MOST_POINTS) for name in [*ARMS, "harvester"]), ("ur5", 24)])
+@pytest.mark.parametrize(("name", "most"), [*((name, MOST_BODY_POINTS) for name in [*ARMS, "harvester"]), ("ur5", 24)])
 def test_reach_is_never_exceeded_and_nearly_attained(load, name, most, monkeypatch):
     """Distances of points from the joints' axes, at random configurations."""
-    monkeypatch.setattr("hplan.collision.collision_bodies.MOST_POINTS", most)
+    monkeypatch.setattr("hplan.collision.collision_bodies.MOST_BODY_POINTS", most)
     robot, rng = replace(load(name)), np.random.default_rng(3)
     bodies, bounds = collision_bodies(robot), reach(robot)
     judged = [points_of(*each) for each in zip(bodies, body_shapes(robot), strict=True)]
@@ -216,7 +216,7 @@ def test_pairs_that_are_left_out(load, name):
     bodies, shapes, pairs = collision_bodies(robot), body_shapes(robot), self_pairs(robot)
     listed = [*pairs.checked, *(pair[:2] for pair in pairs.allowed)]
     assert sorted(listed) == [(i, j) for i in range(len(bodies)) for j in range(i + 1, len(bodies))]
-    bounds = FlatBodies.of(robot).reaches[-len(pairs.checked) :]
+    bounds = FlatBodies.build(robot).reaches[-len(pairs.checked) :]
     geometry = pin.GeometryModel()
     for shape in shapes:
         geometry.addGeometryObject(shape)

@@ -75,7 +75,7 @@ def test_what_vectors_from_boxes_show_is_their_distance(a, u, half, seed):
 def many(rng, copies=40):
     """Obstacles of most kinds, a cloud among them."""
     found = [o.model_copy(update={"name": f"{k}{o.name}"}) for k in range(copies) for o in random_obstacles(rng)]
-    return [*found, PointCloud.of("leaves", rng.uniform(-2.0, 2.0, (50, 3)), 0.02).solids[0]]
+    return [*found, PointCloud.from_points("leaves", rng.uniform(-2.0, 2.0, (50, 3)), 0.02).solids[0]]
 
 
 def others(rng, copies=40):
@@ -90,7 +90,7 @@ def others(rng, copies=40):
         placed = {"name": f"can {number}", "center": tuple(center), "rpy_deg": tuple(rpy)}
         found.append(Cylinder(**placed, length=length, radius=radius))
     corners = [(0.5, 0.5, 0.5), (1.0, 0.5, 0.6), (0.6, 1.0, 0.5), (0.5, 0.6, 1.0)]
-    return [*found, *Mesh.of("wedge", corners, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]).solids]
+    return [*found, *Mesh.from_arrays("wedge", corners, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]).solids]
 
 
 @pytest.mark.parametrize("kind", ["capsules", "bodies"])
@@ -174,7 +174,7 @@ def test_models_of_few_obstacles_answer_as_one_of_all(wide, count, monkeypatch):
     rng = np.random.default_rng(count)
     obstacles = random_obstacles(rng, count)
     if count > 6:
-        obstacles[4] = Cloud.of("cloud", rng.uniform([0.4, -0.6, 0.5], [1.8, 0.6, 1.7], (30, 3)), 0.02)
+        obstacles[4] = Cloud.from_points("cloud", rng.uniform([0.4, -0.6, 0.5], [1.8, 0.6, 1.7], (30, 3)), 0.02)
     growth = rng.uniform(0.0, 0.05, count)
     whole = CoalScene(wide, obstacles, growth=growth)
     monkeypatch.setattr(module, "_CHUNK", 3)
@@ -184,7 +184,7 @@ def test_models_of_few_obstacles_answer_as_one_of_all(wide, count, monkeypatch):
     configurations = rng.uniform(wide.lower, wide.upper, (80, wide.dof))
     if count:
         name = obstacles[-1].name
-        whole, parts = whole.touching(name), parts.touching(name)
+        whole, parts = whole.allow_touch(name), parts.allow_touch(name)
     for q in configurations[:20]:
         np.testing.assert_array_equal(parts.pair_distances(q), whole.pair_distances(q))
         asked = rng.permutation(len(whole.pairs))[:11]

@@ -14,7 +14,7 @@ import pytest
 from hplan import Planner, certify, plan
 from hplan.apps.cli.main import main
 from hplan.collision.far_obstacles import far_obstacles
-from hplan.collision.reach import reach_ball
+from hplan.collision.reach import workspace_ball
 from hplan.errors import FarObstacleWarning
 from hplan.robot.model import Robot
 from hplan.scene.file import save_scene
@@ -38,8 +38,8 @@ def in_millimetres() -> list[AnyObstacle]:
         # The ball about the wire holds the arm, the wire does not.
         Capsule(name="wire", start=(-500.0, -2000.0, 1500.0), end=(-500.0, 2000.0, 1500.0), radius=5.0),
         Box(name="box", center=(700.0, 500.0, 300.0), size=(200.0, 100.0, 50.0), rpy_deg=(0.0, 0.0, 30.0)),
-        Mesh.of("crate", 300.0 * TETRAHEDRON, FACES, position=(600.0, 0.0, 400.0)),
-        PointCloud.of("plant", points, radius=10.0),
+        Mesh.from_arrays("crate", 300.0 * TETRAHEDRON, FACES, position=(600.0, 0.0, 400.0)),
+        PointCloud.from_points("plant", points, radius=10.0),
     ]
 
 
@@ -81,7 +81,7 @@ def test_scene_in_metres_does_not_warn(robot: Robot) -> None:
 def test_distances_against_coal(robot: Robot) -> None:
     """Random boxes and capsules about ten reaches away, on both sides of the limit."""
     random, flagged = np.random.default_rng(3), []
-    *centre, reach = reach_ball(robot).tolist()
+    *centre, reach = workspace_ball(robot).tolist()
     for _ in range(200):
         at = random.normal(size=3)
         at *= reach * random.uniform(8.0, 14.0) / np.linalg.norm(at)

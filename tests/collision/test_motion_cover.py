@@ -47,9 +47,9 @@ def field(arm: Robot) -> ClearanceField:
     generator = np.random.default_rng(3)
     solids: list[Solid] = [
         *SOLIDS,
-        Cloud.of("leaves", np.array([0.3, 0.6, 0.7]) + 0.1 * generator.normal(size=(200, 3)), 0.01),
+        Cloud.from_points("leaves", np.array([0.3, 0.6, 0.7]) + 0.1 * generator.normal(size=(200, 3)), 0.01),
     ]
-    return ClearanceField.of(arm, solids)
+    return ClearanceField.build(arm, solids)
 
 
 def points_of(arm: Robot, field: ClearanceField, q: FloatArray) -> list[FloatArray]:
@@ -143,7 +143,7 @@ def test_parts_shown_clear_are_clear(arm: Robot, field: ClearanceField, seed: in
     assert clear.min() >= MARGIN
     assert 0.0 <= part.back <= back
     assert 0.0 <= part.forward <= forward
-    along = field.along(q + np.linspace(-part.back, part.forward, 41)[:, None] * rates)
+    along = field.clearance_along(q + np.linspace(-part.back, part.forward, 41)[:, None] * rates)
     assert along.min() > 0.5 * MARGIN - 1e-9
     # No less than the reaches alone show.
     moving = (bounds > 0.0) & (clear < FAR)
@@ -161,7 +161,7 @@ def test_body_turned_to_wall_touches_it() -> None:
     arm = load_robot(urdf + "</robot>", tool_frame="crank_link")
     # At 0 the ball moves along the wall's face, 20 mm from it.
     wall = Box(name="wall", center=(0.43, 0.0, 0.0), size=(1.0, 4.0, 1.0))
-    field = ClearanceField.of(arm, [wall])
+    field = ClearanceField.build(arm, [wall])
     bends, q, rates = np.empty((field.count, 2)), np.zeros(1), np.ones(1)
     motion_bends(rates, np.zeros(1), field.arrays, bends)
     part = part_shown_clear(q, rates, moving_arm(field.arrays, 1, bends, 0.0), 1.0, 1.0)

@@ -48,7 +48,7 @@ def beside_a_post(gap: float, clearance: float) -> Cell:
     robots = {"a": load_robot(column_arm(0.0)), "b": load_robot(column_arm(-1.0))}
     first = {"name": "a", "start": {"joints_deg": (0, -30)}, "goal": {"joints_deg": (90, -30)}}
     second = {"name": "b", "position": (-(0.045 + gap + 0.05), 0, 0), "start": {"joints_deg": (0, -30)}}
-    return Cell.of(CellScene(name="c", clearance=clearance, robots=(first, second)), robots)
+    return Cell.from_robots(CellScene(name="c", clearance=clearance, robots=(first, second)), robots)
 
 
 @pytest.mark.parametrize(("gap", "clearance"), [(0.010, 0.0), (0.040, 0.06)])
@@ -59,7 +59,7 @@ def test_column_next_to_base_of_another_arm(gap, clearance):
     turned = time[:, None] * np.array([np.pi / 8, 0.0]) + np.radians([0.0, -30.0])
     nothing = np.zeros_like(turned)
     arm = cell.arm("a").robot
-    motion = cell.together({"a": Trajectory(arm.joint_names, time, turned, nothing, nothing, nothing)})
+    motion = cell.join_motions({"a": Trajectory(arm.joint_names, time, turned, nothing, nothing, nothing)})
     alone = cell.task(motion.position[-1], motion.position[0], obstacles=False)
     found = certify(cell.robot, alone, motion, check_ends=False)
     true = min(
@@ -89,7 +89,7 @@ def test_arms_whose_bases_are_too_close_are_refused():
             {"name": "a", "start": {"joints_deg": (0, -30)}, "goal": {"joints_deg": (20, -30)}},
             {"name": "b", "position": (0, -apart, 0), "start": {"joints_deg": (0, -30)}},
         )
-        cell = Cell.of(CellScene(name="c", clearance=clearance, robots=robots), {"a": robot, "b": robot})
+        cell = Cell.from_robots(CellScene(name="c", clearance=clearance, robots=robots), {"a": robot, "b": robot})
         with pytest.raises(ConfigurationInCollisionError, match="may_touch") as refused:
             plan_cell(cell, PlanOptions(effort="quick"))
         assert how in str(refused.value)

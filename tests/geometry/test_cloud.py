@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hplan.geometry.cloud import LEAF, merged
+from hplan.geometry.cloud import LEAF, merge_points
 from hplan.geometry.cloud_tree import tree_of
 
 
@@ -15,7 +15,7 @@ from hplan.geometry.cloud_tree import tree_of
 @given(st.integers(0, 10_000), st.integers(1, 300), st.sampled_from([0.02, 0.2, 0.5]))
 def test_points_of_one_voxel_become_the_middle_of_their_box(seed, count, edge):
     points = np.random.default_rng(seed).uniform(-1, 1, (count, 3))
-    middles, farthest = merged(points, edge)
+    middles, farthest = merge_points(points, edge)
     voxels = np.floor(points / edge)
     own = [points[(voxels == voxel).all(axis=1)] for voxel in np.unique(voxels, axis=0)]
     if len(own) > 0.7 * count:
@@ -32,7 +32,7 @@ def test_points_of_one_voxel_become_the_middle_of_their_box(seed, count, edge):
 
 def test_points_too_far_apart_for_numbers_of_their_voxels_stay():
     points = np.random.default_rng(0).choice([-9e3, 9e3], (40, 3))
-    middles, farthest = merged(points, 1e-3)
+    middles, farthest = merge_points(points, 1e-3)
     np.testing.assert_array_equal(middles, points)
     assert farthest == 0.0
 

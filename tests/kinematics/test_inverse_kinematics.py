@@ -161,7 +161,7 @@ def test_feasible_directions_against_a_scan(robot, seed):
     rng = np.random.default_rng(seed)
     arm = random_arm(robot, rng)
     point = complex(*rng.uniform(-1.5, 1.5, 2))
-    chain = FreeChain.of(arm.arm, (0, 1, 2), np.zeros(3))
+    chain = FreeChain.build(arm.arm, (0, 1, 2), np.zeros(3))
     spans = chain.feasible_directions(np.array([point]), np.zeros(1))
     angles = rng.uniform(-np.pi, np.pi, 400)
     inside = np.zeros(400, dtype=bool)

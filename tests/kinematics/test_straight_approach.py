@@ -8,7 +8,7 @@ from any_arms import loaded_arm
 from arm_variants import VARIANTS, link_axes, load_variant
 
 import hplan.errors as errors
-from hplan.kinematics.straight_line import STEP_M, TURNING, StraightLine, lines_back
+from hplan.kinematics.straight_line import STEP_M, TURNING, ToolLine, lines_back
 from hplan.kinematics.tool_at_point import tool_at_point
 from hplan.planar.inverse_kinematics import reach
 from hplan.robot.limits import Limits
@@ -27,7 +27,7 @@ def test_planar_arm_keeps_its_last_link_on_the_line(name: str, tmp_path) -> None
     whole = np.flatnonzero(lines.reached == len(lines.distances))
     assert len(whole) > 8
     for goal in goals[whole[:8]]:
-        path = StraightLine(robot, goal, 0.12)
+        path = ToolLine(robot, goal, 0.12)
         (start, tip), s = link_axes(robot, goal)[-1], np.linspace(0.0, path.end, 41)
         along = (tip - start) / np.linalg.norm(tip - start)
         configurations = path.evaluate(s)
@@ -46,7 +46,7 @@ def test_no_line_begins_where_the_elbow_is_straight() -> None:
     assert lines.reached.tolist() == [1, len(lines.distances)]
     assert (lines.rows[0] == goals[0]).all()
     limits = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
-    path = StraightLine(robot, goals[1], 0.1)
+    path = ToolLine(robot, goals[1], 0.1)
     motion = time_path(path, robot.model, limits)
     assert (np.abs(motion.velocity) <= limits.velocity * 1.001).all()
     assert (np.abs(motion.acceleration) <= limits.acceleration * 1.001).all()
@@ -80,7 +80,7 @@ def test_tool_keeps_to_its_line(arm: Robot, keeps_turn: bool) -> None:
     assert whole.mean() > 0.5
     assert np.diff(lines.distances).max() <= STEP_M + 1e-12
     for goal, rows in zip(goals[whole][:12], lines.rows[whole], strict=False):
-        path = StraightLine(arm, goal, 0.1, keeps_turn=keeps_turn)
+        path = ToolLine(arm, goal, 0.1, keeps_turn=keeps_turn)
         poses = arm.forward_kinematics(path.evaluate(np.linspace(0.0, path.end, 120)))
         axis, away = poses[-1, :3, 2], poses[:, :3, 3] - poses[-1, :3, 3]
         assert np.abs(away @ axis + 0.1 * np.linspace(1.0, 0.0, 120)).max() < 1e-3
@@ -93,7 +93,7 @@ def test_tool_keeps_to_its_line(arm: Robot, keeps_turn: bool) -> None:
 
 
 def test_derivatives_are_those_of_the_path(picker: Robot) -> None:
-    path = StraightLine(picker, tool_at_point(picker, POINT).configurations[0], 0.1)
+    path = ToolLine(picker, tool_at_point(picker, POINT).configurations[0], 0.1)
     s, h = np.linspace(0.02, 0.98, 33) * path.end, 1e-5
     for order in (0, 1):
         slope = (path.evaluate(s + h, order) - path.evaluate(s - h, order)) / (2.0 * h)
@@ -123,7 +123,7 @@ def test_line_ends_where_the_arm_does(picker: Robot) -> None:
     steps = np.abs(np.diff(lines.rows[0, :reached], axis=0)).max(axis=1)
     assert (steps <= TURNING * np.diff(lines.distances[:reached]) + 1e-12).all()
     with pytest.raises(errors.ApproachError, match="withdrawn by") as caught:
-        StraightLine(picker, goal[0], 3.0).evaluate(0.0)
+        ToolLine(picker, goal[0], 3.0).evaluate(0.0)
     assert caught.value.largest_standoff_m == pytest.approx(lines.distances[reached - 1])
 
 

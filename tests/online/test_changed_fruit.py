@@ -113,7 +113,7 @@ def test_random_stops_among_changed_fruit_are_clear(robot: Robot, seed: int) -> 
         return
     among = SCENE.with_obstacles([Sphere(name="ball", center=ball.center, radius=ball.radius)])
     row = int(np.searchsorted(stop.trajectory.time, at_s + 1e-9)) - 1
-    left = stop.trajectory.since(row)
+    left = stop.trajectory.cut_before(row)
     # The tool does not protrude from the last link's capsule: the links suffice.
     clock = np.append(np.arange(0.0, left.duration, 5e-4), left.duration)
     least = min(float(coal_distances(robot, q, among.obstacles).min()) for q in left.positions(clock))
@@ -159,7 +159,7 @@ def agrees(
     start, by less than two of the faster motion's samples, measured here.
     """
     assert certificate.verified, certificate.violations
-    scene = planner.scene.since(planner.last.begins_s)
+    scene = planner.scene.starting_at(planner.last.begins_s)
     given = {"check_ends": False, "rest_to_rest": False}
     again = certify(robot, scene, trajectory, contacts=certificate.contacts, **given)
     assert again.verified, again.violations
@@ -187,7 +187,7 @@ def test_splice_holds_the_contact_that_it_leaves(robot: Robot, goal: Goal, obsta
     told = new.report["certificate"]["contacts"]
     assert [at["fruit"] for at in told] == picked
     later = planner.stop_at(new.begins_s + 0.4, now=new.begins_s)
-    scaled, row_s = new.scaled(0.5), 0.0 if goal.fruit is None else 2.0 * float(np.diff(new.trajectory.time).max())
+    scaled, row_s = new.scale_speed(0.5), 0.0 if goal.fruit is None else 2.0 * float(np.diff(new.trajectory.time).max())
     assert [contact.fruit.name for contact in scaled.certificate.contacts] == picked
     for slow, most_s in ((new.stop_at(0.3), 0.0), (scaled, row_s), (later, 0.0)):
         assert slow.certificate.contacts[0].fruit == APPLE

@@ -137,7 +137,7 @@ def test_omitted_points_never_come_within_reach(robot: Robot, seed: int) -> None
     """Against the distance from the ball of reach at places less than 2 mm apart on the track."""
     random = np.random.default_rng(seed)
     track, margin = random_track(random), 0.07
-    swept = SweptReach.of(tight_reach_ball(robot), track)
+    swept = SweptReach.sweep(tight_reach_ball(robot), track)
     points = random.uniform(-5.0, 5.0, (800, 3))
     turns, shifts = base_poses(track, np.arange(track.times_s[0], track.times_s[-1], 2e-3))
     x, y, z, radius = tight_reach_ball(robot)

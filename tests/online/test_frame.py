@@ -62,7 +62,7 @@ def test_every_point_is_accounted_for(robot, seed, kind, growth_m):
         world = seen.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
     options = CloudOptions(growth_m=growth_m)
     fruit = Sphere(name="fruit", center=(0.2, 0.1, 0.9), radius=0.1)
-    frame = Frame.of(robot, seen, radius=RADIUS, pose=pose, joints=TUCKED)
+    frame = Frame.validate(robot, seen, radius=RADIUS, pose=pose, joints=TUCKED)
     found = filter_frame(robot, frame, options, ignored=[fruit], clearance_m=0.01)
     report = found.report
 
@@ -106,7 +106,7 @@ def test_nothing_farther_from_the_arm_than_the_padding_is_taken_away(robot):
         on = np.concatenate([solid.core[rng.integers(0, len(solid.core), 60)] for solid in solids])
         points = on + rng.normal(size=on.shape) * 0.06
         options = CloudOptions(growth_m=1e-3, arm_padding_m=0.03)
-        found = filter_frame(robot, Frame.of(robot, points, radius=RADIUS, joints=q), options)
+        found = filter_frame(robot, Frame.validate(robot, points, radius=RADIUS, joints=q), options)
         away = apart(points, solids)
         assert found.report.of_arm <= (away <= 0.03 + 1e-6).sum()
         assert found.report.of_arm >= (away <= 0.03 - 1e-6).sum() > 50
@@ -117,7 +117,7 @@ def test_nothing_farther_from_the_arm_than_the_padding_is_taken_away(robot):
 @pytest.mark.parametrize("seed", range(3))
 def test_distances_of_points_from_solids_of_all_kinds(seed):
     rng = np.random.default_rng(seed)
-    cloud = Cloud.of("cloud", rng.uniform([0.4, -0.6, 0.5], [1.8, 0.6, 1.7], (90, 3)), 0.02)
+    cloud = Cloud.from_points("cloud", rng.uniform([0.4, -0.6, 0.5], [1.8, 0.6, 1.7], (90, 3)), 0.02)
     points = rng.uniform([-0.2, -1.2, 0.0], [2.2, 1.2, 2.2], (150, 3))
     hull = hull_of(rng.normal(size=(12, 3)) * 0.3 + [1.0, 0.0, 1.1], "hull")
     for solids in ([cloud], [hull], random_obstacles(rng, 6), [*random_obstacles(rng, 6), hull, cloud]):
@@ -173,7 +173,7 @@ def test_points_next_to_link_are_kept_though_inside_its_capsule(make, link, off_
     point = axis[0] + 0.3 * along + off_m * beside / np.linalg.norm(beside)
     assert robot.arm.half_widths[link] > off_m + 1e-3
     options = CloudOptions(growth_m=1e-3, arm_padding_m=0.0)
-    found = filter_frame(robot, Frame.of(robot, point[None], radius=RADIUS, joints=q), options)
+    found = filter_frame(robot, Frame.validate(robot, point[None], radius=RADIUS, joints=q), options)
     assert (found.report.of_arm, found.report.kept) == (0, 1)
 
 
@@ -183,7 +183,7 @@ def test_all_that_is_to_be_ignored_is_left_out_and_nothing_else(robot, count):
     fruits = [Sphere(name=f"fruit {n}", center=(1.0, 0.3 * n - 0.7, 1.2), radius=0.04) for n in range(count)]
     at = np.array([fruit.center for fruit in fruits])[rng.integers(0, count, 3000)]
     points = at + rng.normal(size=at.shape) * 0.03
-    found = filter_frame(robot, Frame.of(robot, points, radius=RADIUS), CloudOptions(), ignored=fruits)
+    found = filter_frame(robot, Frame.validate(robot, points, radius=RADIUS), CloudOptions(), ignored=fruits)
     assert found.report.ignored == (np.linalg.norm(points - at, axis=1) <= 0.06).sum()
 
 
@@ -191,7 +191,7 @@ def test_isolated_points_are_outliers_on_request(robot):
     rng = np.random.default_rng(2)
     patch = np.array([1.2, 0.0, 1.0]) + rng.uniform(-0.02, 0.02, (200, 3)) * [0, 1, 1]
     strays = np.array([[0.9, 0.5, 1.0], [0.9, -0.5, 1.0], [0.9, -0.5, 1.001]])
-    frame = Frame.of(robot, np.concatenate([patch, strays]), radius=RADIUS)
+    frame = Frame.validate(robot, np.concatenate([patch, strays]), radius=RADIUS)
     for least, left_out in ((1, 0), (2, 1), (3, 3)):
         report = filter_frame(robot, frame, CloudOptions(least_points=least)).report
         assert report.isolated == left_out
@@ -204,7 +204,7 @@ def test_isolated_points_are_outliers_on_request(robot):
 def test_what_has_enough_about_it_is_no_outlier(robot, seed, distance, least):
     points = np.random.default_rng(seed).uniform([0.5, -0.3, 0.5], [1.0, 0.3, 1.0], (400, 3))
     options = CloudOptions(growth_m=1e-3, least_points=least, neighbour_m=distance)
-    found = filter_frame(robot, Frame.of(robot, points, radius=RADIUS), options)
+    found = filter_frame(robot, Frame.validate(robot, points, radius=RADIUS), options)
     about = (np.linalg.norm(points[:, None] - points, axis=2) <= distance).sum(axis=1)
     gaps = np.linalg.norm(points[:, None] - found.points, axis=2).min(axis=1, initial=9.0)
     assert gaps[about >= least].max(initial=0.0) <= found.report.growth_m + 1e-12
@@ -217,9 +217,9 @@ def test_many_voxels_and_the_memory_of_frames_before(robot):
     rng = np.random.default_rng(0)
     points = np.repeat(rng.uniform([0.5, -1, 0.2], [1.5, 1, 1.2], (20_000, 3)), 3, axis=0)
     points = rng.permutation(points + rng.normal(0.0, 2e-3, points.shape))
-    frame, scratch = Frame.of(robot, points, radius=RADIUS), Scratch()
+    frame, scratch = Frame.validate(robot, points, radius=RADIUS), Scratch()
     found = filter_frame(robot, frame, CloudOptions(), scratch=scratch)
-    filter_frame(robot, Frame.of(robot, points[:99] + 0.1, radius=RADIUS), CloudOptions(), scratch=scratch)
+    filter_frame(robot, Frame.validate(robot, points[:99] + 0.1, radius=RADIUS), CloudOptions(), scratch=scratch)
     again = filter_frame(robot, frame, CloudOptions(), scratch=scratch)
     np.testing.assert_array_equal(again.points, found.points)
     assert again.report == found.report
@@ -251,7 +251,7 @@ def test_many_voxels_and_the_memory_of_frames_before(robot):
     ],
 )
 def test_frames_without_anything(robot, points):
-    found = filter_frame(robot, Frame.of(robot, points, radius=RADIUS, joints=TUCKED), CloudOptions())
+    found = filter_frame(robot, Frame.validate(robot, points, radius=RADIUS, joints=TUCKED), CloudOptions())
     assert found.points.shape == (0, 3)
     assert found.report.kept == found.report.growth_m == 0.0
     assert found.report.not_finite + found.report.out_of_reach == found.report.given == np.size(points) // 3
@@ -260,7 +260,7 @@ def test_frames_without_anything(robot, points):
 def test_arrays_of_all_kinds(robot):
     points = np.round(np.random.default_rng(0).uniform(0.5, 1.5, (60, 3)) * 8.0) / 8.0
     options = CloudOptions()
-    expected = filter_frame(robot, Frame.of(robot, points, radius=RADIUS), options).points
+    expected = filter_frame(robot, Frame.validate(robot, points, radius=RADIUS), options).points
     for given_ in (
         points.tolist(),
         points.astype(np.float16),
@@ -270,9 +270,9 @@ def test_arrays_of_all_kinds(robot):
         np.column_stack([points, points])[:, :3],
         points.astype(">f4"),
     ):
-        found = filter_frame(robot, Frame.of(robot, given_, radius=RADIUS), options).points
+        found = filter_frame(robot, Frame.validate(robot, given_, radius=RADIUS), options).points
         np.testing.assert_array_equal(found, expected)
-    whole = filter_frame(robot, Frame.of(robot, np.ones((2, 3), dtype=int), radius=RADIUS), options)
+    whole = filter_frame(robot, Frame.validate(robot, np.ones((2, 3), dtype=int), radius=RADIUS), options)
     assert whole.points.tolist() == [[1.0, 1.0, 1.0]]
 
 
@@ -281,7 +281,7 @@ def test_pose_is_a_matrix_or_six_numbers(robot):
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = turn, shift
     frames = [
-        Frame.of(robot, np.zeros((1, 3)), radius=RADIUS, pose=pose)
+        Frame.validate(robot, np.zeros((1, 3)), radius=RADIUS, pose=pose)
         for pose in (matrix, matrix.astype(np.float32), [*shift, *np.degrees([0.1, -0.2, 0.3])])
     ]
     for frame in frames:
@@ -293,10 +293,10 @@ def test_pose_is_a_matrix_or_six_numbers(robot):
     huge[0, 1], huge[1, 0] = -1e200, 1e200
     for pose in (mirrored, scaled, projective, huge, np.zeros((4, 4)), matrix.T):
         with pytest.raises(InputError, match="not a rigid transform"):
-            Frame.of(robot, np.zeros((1, 3)), radius=RADIUS, pose=pose)
+            Frame.validate(robot, np.zeros((1, 3)), radius=RADIUS, pose=pose)
     for pose in (np.full((4, 4), np.nan), np.eye(3), [1, 2, 3], "pose"):
         with pytest.raises(InputError, match="pose"):
-            Frame.of(robot, np.zeros((1, 3)), radius=RADIUS, pose=pose)
+            Frame.validate(robot, np.zeros((1, 3)), radius=RADIUS, pose=pose)
 
 
 # Memory
@@ -312,7 +312,7 @@ def wall(x: float, step: float = 0.004, half: float = 0.2) -> np.ndarray:
 
 def take(robot, points, time_s, before=None, **values):
     options = values.pop("options", CloudOptions())
-    frame = Frame.of(robot, points, radius=RADIUS, pose=[*CAMERA, 0, 0, 0], keep_s=1.0, time_s=time_s, **values)
+    frame = Frame.validate(robot, points, radius=RADIUS, pose=[*CAMERA, 0, 0, 0], keep_s=1.0, time_s=time_s, **values)
     return filter_frame(robot, frame, options, before=before)
 
 
@@ -334,7 +334,9 @@ def test_remembered_points_keep_their_radius(robot):
     first = take(robot, wall(1.4, half=0.05), 0.0)
     seen, kept = first.seen, first.report.kept
     for time_s, radius in ((0.2, 0.3 * RADIUS), (0.4, 0.1 * RADIUS), (0.6, 0.5 * RADIUS)):
-        frame = Frame.of(robot, wall(0.8, half=0.15), radius=radius, pose=[*CAMERA, 0, 0, 0], keep_s=1.0, time_s=time_s)
+        frame = Frame.validate(
+            robot, wall(0.8, half=0.15), radius=radius, pose=[*CAMERA, 0, 0, 0], keep_s=1.0, time_s=time_s
+        )
         found = filter_frame(robot, frame, CloudOptions(), before=seen)
         assert found.report.remembered == kept
         assert found.report.radius_m >= RADIUS + first.report.growth_m - 1e-12
@@ -356,7 +358,7 @@ def test_view_of_turned_camera(robot, axis):
 
     def look(points, time_s, before=None):
         pose = [*CAMERA, 20.0, -30.0, 100.0]
-        frame = Frame.of(robot, points, radius=RADIUS, pose=pose, keep_s=1.0, time_s=time_s)
+        frame = Frame.validate(robot, points, radius=RADIUS, pose=pose, keep_s=1.0, time_s=time_s)
         return filter_frame(robot, frame, CloudOptions(), before=before)
 
     near, far = (np.roll(wall(x, half=half), axis, axis=1) for x, half in ((0.8, 0.1), (1.4, 0.2)))

@@ -99,7 +99,7 @@ def test_no_motion_is_certified_through_the_plant_after_a_bad_frame(robot: Robot
     """Judged by the balls of the plant itself."""
     planner = Planner(robot, SCENE)
     planner.plan(begins_s=0.0)
-    world = PointCloud.of("plant", plant @ POSE[:3, :3].T + POSE[:3, 3], radius=0.01)
+    world = PointCloud.from_points("plant", plant @ POSE[:3, :3].T + POSE[:3, 3], radius=0.01)
     for number, kind in enumerate(BAD):
         see(planner, plant, time_s=1.0 + number)
         with pytest.raises(InputError):

@@ -42,7 +42,7 @@ def a_planner(robot: Robot, begins_s: float | None = 0.0) -> Planner:
     planner = Planner(robot, a_scene(), QUICK)
     planner.last = planned(robot)
     if begins_s is not None:
-        planner.began(begins_s)
+        planner.set_start_time(begins_s)
     return planner
 
 
@@ -133,14 +133,14 @@ def test_planner_with_clock_requires_start_times(robot: Robot) -> None:
         with pytest.raises(InputError, match="the start time of the running motion is unknown"):
             ask()
     planner = pickle.loads(pickle.dumps(planner))
-    assert planner.began(5.0) is planner.last
+    assert planner.set_start_time(5.0) is planner.last
     assert planner.replan(at=5.2, now=5.1).begins_s == pytest.approx(5.1)
     with pytest.raises(InputError, match=r"begins at 5\.1 s on the controller's clock and at no other"):
-        planner.began(5.0)
+        planner.set_start_time(5.0)
     with pytest.raises(InputError, match="plan one first"):
-        Planner(robot, a_scene()).began(1.0)
+        Planner(robot, a_scene()).set_start_time(1.0)
     with pytest.raises(OptionError, match="at_s"):
-        planner.began(math.inf)
+        planner.set_start_time(math.inf)
 
 
 def test_moving_obstacles_count_from_start_of_motion(robot: Robot) -> None:
@@ -151,7 +151,7 @@ def test_moving_obstacles_count_from_start_of_motion(robot: Robot) -> None:
     with pytest.raises(OptionError, match="begins_s = None: expected a time on the controller's clock"):
         planner.plan()
     with pytest.raises(InputError, match="at no other time"):
-        planner.began(4.5)
+        planner.set_start_time(4.5)
     kept = planner.replan(at=4.5, now=4.3)
     assert kept.scene.obstacles[1].track.times_s == pytest.approx((-4.3, 4.7), abs=5e-3)
     assert planner.scene.obstacles[1].track.times_s == (0.0, 9.0)

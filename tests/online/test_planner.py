@@ -194,14 +194,14 @@ def test_random_changes(robot: Robot, seed: int) -> None:
 
 def test_meshes_and_clouds_move_with_their_data(robot: Robot) -> None:
     shape = blocks(np.ones((1, 1, 1), dtype=bool), *(np.array([-0.1, 0.1]) for _ in range(3)))
-    box = Mesh.of("crate", *shape, position=(1.0, -1.0, 0.1))
-    cloud = PointCloud.of("dust", [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]], 0.01, position=(0.0, 1.5, 1.0))
+    box = Mesh.from_arrays("crate", *shape, position=(1.0, -1.0, 0.1))
+    cloud = PointCloud.from_points("dust", [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]], 0.01, position=(0.0, 1.5, 1.0))
     planner = planner_for(robot, [box])
     planner.add(cloud)
     planner.plan()
     planner.move("crate", position=(1.0, -1.5, 0.1), rpy_deg=(0.0, 0.0, 30.0))
     planner.move("dust", position=(0.9, 0.5, 0.9))
-    moved = Mesh.of("crate", *shape, position=(1.0, -1.5, 0.1), rpy_deg=(0.0, 0.0, 30.0))
+    moved = Mesh.from_arrays("crate", *shape, position=(1.0, -1.5, 0.1), rpy_deg=(0.0, 0.0, 30.0))
     found = planner.scene.obstacles[0]
     assert isinstance(found, Mesh)
     np.testing.assert_allclose(found.surface[0], moved.surface[0])

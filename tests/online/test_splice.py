@@ -122,13 +122,13 @@ def test_to_a_fruit_and_on(robot):
     before = planner.plan()
     kept = planner.replan(at=0.4, now=0.3)
     assert kept.is_kept
-    assert kept.picked == pytest.approx({"apple": before.picked["apple"] - kept.begins_s})
+    assert kept.picked_fruit == pytest.approx({"apple": before.picked_fruit["apple"] - kept.begins_s})
     assert kept.certificate.contact_s == pytest.approx(np.subtract(before.certificate.contact_s, kept.begins_s))
     assert_spliced(robot, planner.scene, before, kept)
     planner.aim(goal=Goal(fruit="pear"))
     result = planner.replan(at=0.5, now=0.4)
     assert_spliced(robot, planner.scene, kept, result)
-    assert list(result.picked) == ["pear"]
+    assert list(result.picked_fruit) == ["pear"]
 
 
 def test_while_the_arm_goes_back_from_a_fruit(robot):
@@ -138,7 +138,7 @@ def test_while_the_arm_goes_back_from_a_fruit(robot):
     late = before.trajectory.duration - 0.02
     result = planner.replan(at=late, now=late)
     assert result.is_kept
-    assert result.picked == {"apple": 0.0}
+    assert result.picked_fruit == {"apple": 0.0}
 
 
 def test_obstacle_directly_ahead_gives_stop(robot):

@@ -102,10 +102,10 @@ def among_a_ball(robot: Robot) -> tuple[Scene, Trajectory]:
 def test_what_is_left_of_a_motion_has_one_certificate_by_either_clock(robot, part):
     scene, motion = among_a_ball(robot)
     row = round(part * (motion.samples - 1))
-    begin_s, left = float(motion.time[row]), motion.since(row)
+    begin_s, left = float(motion.time[row]), motion.cut_before(row)
     how = {"check_ends": False, "rest_to_rest": False}
     by_old = certify(robot, scene, left, begin_s=begin_s, **how)
-    by_new = certify(robot, scene.since(begin_s), left, **how)
+    by_new = certify(robot, scene.starting_at(begin_s), left, **how)
     assert by_old.verified
     assert by_new.verified
     assert by_new.min_clearance_m == pytest.approx(by_old.min_clearance_m, abs=1e-9)
@@ -201,7 +201,7 @@ def test_obstacle_before_seam_gives_stop(robot):
     assert begins_s == pytest.approx(0.048)
     assert caught.value.certificate.verified
     np.testing.assert_array_equal(stop.position[0], running.position[12])
-    assert not any(contacts(robot, scene.since(begins_s), stop))
+    assert not any(contacts(robot, scene.starting_at(begins_s), stop))
     assert planner.last is last
     assert planner.scene is scene
     with pytest.raises(RunningMotionBlockedError, match="no stop on its path") as caught:
@@ -226,7 +226,7 @@ def test_moving_obstacles_are_at_their_place_after_stop(robot, monkeypatch):
     planner = a_planner(robot)
     running = planner.last.trajectory
     row = running.samples // 5
-    stop = planner.stop_at(float(running.time[row])).trajectory.since(row)
+    stop = planner.stop_at(float(running.time[row])).trajectory.cut_before(row)
     state = {"velocity_rad_s": tuple(running.velocity[row]), "acceleration_rad_s2": tuple(running.acceleration[row])}
     start = Start(joints_rad=tuple(running.position[row]), **state)
     ball = crossing(tool_at(robot, running, 0.6), 8.0, speed=0.15)
@@ -238,7 +238,7 @@ def test_moving_obstacles_are_at_their_place_after_stop(robot, monkeypatch):
         seen.append(problem.scene)
         return solver()(problem)
 
-    problem = Problem.of(robot, scene, options)
+    problem = Problem.from_scene(robot, scene, options)
     certified = certified_in_time(problem, stop, check_ends=False)
     found = stopping_first(problem, solve, Motion("stop", stop, certified))
     assert found is not None
@@ -305,5 +305,5 @@ def test_base_creeps_on_while_a_new_goal_comes(robot):
     assert result.certificate.verified
     for field in FIELDS:
         np.testing.assert_array_equal(getattr(result.trajectory, field)[:25], getattr(running, field)[50:75])
-    still = result.scene.at(result.trajectory.duration)
+    still = result.scene.snapshot(result.trajectory.duration)
     assert_clear(robot, still, between_rows(result.trajectory, np.array([result.trajectory.samples - 1]), 0))

@@ -15,7 +15,7 @@ from hplan.certificate.limit_use import limit_use
 from hplan.collision.clearance_field import ClearanceField
 from hplan.optimization.constraint_rows import ALLOWED, TorqueUse, torque_rows
 from hplan.optimization.first_order import NEAR, PLACES, SCALE, MotionArrays, MotionLimits, first_order
-from hplan.optimization.minimize_time import Effort, Level, minimize_time
+from hplan.optimization.minimize_time import Level, OptimizerEffort, minimize_time
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import BoundaryState, TimedSpline
@@ -39,7 +39,7 @@ def random_spline(seed, speed=1.0):
         BoundaryState(control[end], some * rng.uniform(-1.0, 1.0, 4), some * rng.uniform(-3.0, 3.0, 4))
         for end in (0, -1)
     )
-    return TimedSpline(control, knots).between(ends)
+    return TimedSpline(control, knots).with_ends(ends)
 
 
 def states_of(spline):
@@ -93,7 +93,7 @@ def limits(robot):
 
 def test_program_is_the_limits_to_first_order_in_step_and_time_scale(robot, limits):
     spline, trust = random_spline(3), 1e9
-    far = ClearanceField.of(robot, [Sphere(name="far", center=(9.0, 9.0, 9.0), radius=0.1).solids[0]])
+    far = ClearanceField.build(robot, [Sphere(name="far", center=(9.0, 9.0, 9.0), radius=0.1).solids[0]])
     motion = MotionArrays(np.array(spline.control), spline.knots, spline.drift)
     rows = first_order(motion, limits, far.arrays, 2e-3, trust)
     kinematic = np.concatenate(
@@ -121,7 +121,7 @@ def test_program_is_the_limits_to_first_order_in_step_and_time_scale(robot, limi
 def test_clearances_follow_the_time_scale_where_an_end_is_in_motion(robot, limits):
     spline = random_spline(3)
     at = robot.tool_positions(np.array(spline.control[:1]))[0]
-    field = ClearanceField.of(robot, [Sphere(name="ball", center=tuple(at + 0.1), radius=0.1).solids[0]])
+    field = ClearanceField.build(robot, [Sphere(name="ball", center=tuple(at + 0.1), radius=0.1).solids[0]])
     rows = first_order(
         MotionArrays(np.array(spline.control), spline.knots, spline.drift), limits, field.arrays, 2e-3, 0.1
     )
@@ -138,17 +138,17 @@ def test_clearances_follow_the_time_scale_where_an_end_is_in_motion(robot, limit
 def clearances(spline, field):
     breaks = spline.knots[3:-3]
     clock = (breaks[:-1, None] + np.diff(breaks)[:, None] * np.arange(PLACES) / PLACES).ravel()
-    return field.along(BSpline(spline.knots, spline.control, 3)(clock)).ravel()
+    return field.clearance_along(BSpline(spline.knots, spline.control, 3)(clock)).ravel()
 
 
 def test_torque_rows_follow_the_time_scale_where_an_end_is_in_motion(robot, limits):
     spline = random_spline(1, speed=0.5)
-    limit = np.abs(TorqueUse.of(spline, robot.dynamics, np.ones(4)).use).max(axis=0) + 1e-6
-    use = TorqueUse.of(spline, robot.dynamics, limit)
+    limit = np.abs(TorqueUse.sample(spline, robot.dynamics, np.ones(4)).use).max(axis=0) + 1e-6
+    use = TorqueUse.sample(spline, robot.dynamics, limit)
     rows = torque_rows(use, spline, robot.dynamics, limits)
     count = (PIECES - 3) * 2
     unknowns, time_scale = np.random.default_rng(1).uniform(-1e-5, 1e-5, count), 1.0 + 1e-5
-    after = TorqueUse.of(moved(spline, unknowns, time_scale), robot.dynamics, limit)
+    after = TorqueUse.sample(moved(spline, unknowns, time_scale), robot.dynamics, limit)
     times, joints = np.nonzero(np.abs(use.use) > 0.75)
     sign = np.sign(use.use[times, joints])
     gravity = sign * (robot.dynamics.gravity(use.states[0]) / limit)[times, joints]
@@ -174,11 +174,11 @@ def swing(duration):
 
 START, TURN = np.array([0.1, 0.6, 0.7, 0.5]), np.array([0.0, 0.5, 0.4, -0.2])
 
-EFFORT = Effort((Level(piece_s=0.03, pieces=(30, 60), steps=12, gain=1e-3, trust=0.2),))
+EFFORT = OptimizerEffort((Level(piece_s=0.03, pieces=(30, 60), steps=12, gain=1e-3, trust=0.2),))
 
 
 def fastest(robot, ends, limits=None):
-    far = ClearanceField.of(robot, [Sphere(name="far", center=(9.0, 9.0, 9.0), radius=0.1).solids[0]])
+    far = ClearanceField.build(robot, [Sphere(name="far", center=(9.0, 9.0, 9.0), radius=0.1).solids[0]])
     limits = limits or Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
     options = PostprocessOptions(
         lower=robot.lower, upper=robot.upper, velocity=robot.velocity_limit, acceleration=robot.acceleration_limit,

@@ -31,7 +31,7 @@ from hplan.optimization.first_order import (
     first_order,
     least_time_scale,
 )
-from hplan.optimization.interior_point import ProgramRows, solve
+from hplan.optimization.interior_point import ProgramRows, solve_program
 from hplan.optimization.minimize_time import minimize_time, rough_motion
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import TimedSpline, even_breaks
@@ -84,9 +84,9 @@ def test_torque_rows_follow_the_torques(robot):
         t = np.clip(clock / 0.8, 0.0, 1.0)
         return 0.3 + np.outer(t**3 * (10.0 - 15.0 * t + 6.0 * t**2), [0.0, 0.6, 0.4, -0.2])
 
-    spline = TimedSpline.near(motion, even_breaks(0.8, 14))
-    limit = np.abs(TorqueUse.of(spline, robot.dynamics, np.ones(4)).use).max(axis=0) + 1e-6
-    use = TorqueUse.of(spline, robot.dynamics, limit)
+    spline = TimedSpline.approximate(motion, even_breaks(0.8, 14))
+    limit = np.abs(TorqueUse.sample(spline, robot.dynamics, np.ones(4)).use).max(axis=0) + 1e-6
+    use = TorqueUse.sample(spline, robot.dynamics, limit)
     movable = np.array([1, 2, 3])
     limits = MotionLimits(np.array(robot.lower), np.array(robot.upper), np.ones((3, 4)), movable, np.empty((0, 4)))
     rows = torque_rows(use, spline, robot.dynamics, limits)
@@ -94,7 +94,7 @@ def test_torque_rows_follow_the_torques(robot):
     change, time_scale = rng.uniform(-1e-5, 1e-5, (len(spline.control) - 6, 3)), 1.0 + 1e-5
     control = np.array(spline.control)
     control[3:-3, movable] += change
-    after = TorqueUse.of(TimedSpline(control, spline.knots).at_time_scale(time_scale), robot.dynamics, limit)
+    after = TorqueUse.sample(TimedSpline(control, spline.knots).at_time_scale(time_scale), robot.dynamics, limit)
     times, joints = np.nonzero(np.abs(use.use) > 0.75)
     sign = np.sign(use.use[times, joints])
     gravity = sign * (robot.dynamics.gravity(use.states[0]) / limit)[times, joints]
@@ -112,18 +112,18 @@ def test_rows_follow_how_the_tool_leans(tmp_path_factory: pytest.TempPathFactory
     arm = loaded_arm(name, tmp_path_factory)
     rng = np.random.default_rng(2)
     begin, turn = rng.uniform(arm.lower, arm.upper), 0.2 * rng.uniform(-1.0, 1.0, arm.dof)
-    spline = TimedSpline.near(lambda clock: begin + np.outer((clock / 0.8) ** 2, turn), even_breaks(0.8, 14))
+    spline = TimedSpline.approximate(lambda clock: begin + np.outer((clock / 0.8) ** 2, turn), even_breaks(0.8, 14))
     chain = chain_of(arm, np.eye(4), UPRIGHT)
-    heights = arm.forward_kinematics(spline.positions(Leaning.of(spline, chain).clock))[:, 2, 2]
-    np.testing.assert_allclose(Leaning.of(spline, chain).cosines, heights, atol=1e-12)
+    heights = arm.forward_kinematics(spline.positions(Leaning.sample(spline, chain).clock))[:, 2, 2]
+    np.testing.assert_allclose(Leaning.sample(spline, chain).cosines, heights, atol=1e-12)
     most = float(np.arccos(np.sort(heights)[1:3].mean()))  # two of all times are beyond it
-    found = Leaning.of(spline, chain._replace(free_turn=np.array([UPRIGHT, most])))
+    found = Leaning.sample(spline, chain._replace(free_turn=np.array([UPRIGHT, most])))
     assert not found.is_upright
     movable = np.arange(1, arm.dof)
     change = rng.uniform(-1e-6, 1e-6, (len(spline.control) - 6, len(movable)))
     control = np.array(spline.control)
     control[3:-3, movable] += change
-    after = Leaning.of(TimedSpline(control, spline.knots), chain)
+    after = Leaning.sample(TimedSpline(control, spline.knots), chain)
     rows, near = found.rows(spline, movable), found.cosines < np.cos(LEANING * most)
     left = rows.upper - dense(rows, change.size)[:, :-1] @ change.ravel()
     np.testing.assert_allclose(left, (after.cosines - np.minimum(np.cos(most), found.cosines))[near], atol=1e-10)
@@ -162,7 +162,7 @@ def dense(rows, count):
 
 
 def field_of(robot, radius=0.1):
-    return ClearanceField.of(robot, [Sphere(name="ball", center=(1.0, 0.35, 1.35), radius=radius).solids[0]])
+    return ClearanceField.build(robot, [Sphere(name="ball", center=(1.0, 0.35, 1.35), radius=radius).solids[0]])
 
 
 def moved(control, unknowns, movable):
@@ -230,7 +230,7 @@ def test_clearances_minus_tracking_displacement_follow_step_and_time_scale(motio
         """Clearances in the order of the constraint rows."""
         spline, breaks = BSpline(knots, values, 3), knots[3:-3]
         clock = (breaks[:-1, None] + np.diff(breaks)[:, None] * np.arange(PLACES) / PLACES).ravel()
-        return (field.along(spline(clock)) - np.abs(spline(clock, 1)) @ lever.T / time_scale).ravel()
+        return (field.clearance_along(spline(clock)) - np.abs(spline(clock, 1)) @ lever.T / time_scale).ravel()
 
     here = left(control, 1.0)
     touched = np.flatnonzero(here < NEAR)
@@ -298,7 +298,7 @@ def drawn(seed: int, count: int, band: int, one_sided: int) -> tuple[ProgramRows
 @given(st.integers(0, 10**6), st.integers(1, 25), st.integers(0, 11), st.integers(0, 30))
 def test_the_time_scale_is_the_least_that_highs_finds(seed, count, band, one_sided):
     rows, matrix, right = drawn(seed, count, band, min(one_sided, count))
-    found, x = solve(rows, count, band, ACCURACY, NEVER)
+    found, x = solve_program(rows, count, band, ACCURACY, NEVER)
     cost = np.append(np.zeros(count), 1.0)
     best = linprog(cost, A_ub=matrix, b_ub=right, bounds=(None, None))
     assert best.status == 0
@@ -314,7 +314,7 @@ def test_of_equal_paces_the_smallest_change_is_taken():
         np.array([0, 1, 2], dtype=np.int32), np.array([0, 1], dtype=np.int32), np.array([1.0, 1.0]),
         np.array([-1.0, 0.0]), np.array([-0.5, 1.0]), np.array([-0.5, 1.0]),
     )  # fmt: skip
-    found, x = solve(rows, 2, 0, ACCURACY, NEVER)
+    found, x = solve_program(rows, 2, 0, ACCURACY, NEVER)
     assert found
     assert x == pytest.approx([0.0, 0.0, 0.5], abs=1e-6)
 
@@ -324,7 +324,7 @@ def test_program_without_solution_is_not_solved():
         np.array([0, 1, 2], dtype=np.int32), np.array([0, 0], dtype=np.int32), np.array([1.0, -1.0]),
         np.array([0.0, 0.0]), np.array([-1.0, -1.0]), np.array([1.0]),
     )  # fmt: skip
-    assert not solve(rows, 1, 0, ACCURACY, NEVER)[0]
+    assert not solve_program(rows, 1, 0, ACCURACY, NEVER)[0]
 
 
 DEFAULT = EFFORTS["default"].starts
@@ -337,7 +337,9 @@ def task(tmp_path_factory: pytest.TempPathFactory) -> Problem:
     arm = loaded_arm("toy", tmp_path_factory)
     ends = {key: {"joints_rad": place} for key, place in (("start", (0.3,) * arm.dof), ("goal", (1.2,) * arm.dof))}
     scene = Scene.model_validate({"format": "hplan-scene/1", "name": "nothing", "obstacles": (), **ends})
-    return Problem.of(arm, scene, PlanOptions()).between(scene.start.configuration, scene.goal.configuration)
+    return Problem.from_scene(arm, scene, PlanOptions()).from_configurations(
+        scene.start.configuration, scene.goal.configuration
+    )
 
 
 def problem_of(task: Problem) -> TimeProblem:
@@ -349,7 +351,7 @@ def bent(task: Problem, seed: int) -> SpeedProfile:
     """A start that is a detour."""
     ends: FloatArray = np.linspace(task.start, task.goal, 7)
     ends[1:-1] += np.random.default_rng(seed).uniform(-0.3, 0.3, ends[1:-1].shape)
-    return coarse_profile(SplinePath.through(ends), smoothing_options(task, task.margin))
+    return coarse_profile(SplinePath.from_control_points(ends), smoothing_options(task, task.margin))
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -369,7 +371,7 @@ def test_no_motion_is_faster_than_its_segments_allow(task: Problem, seed: int) -
 def test_rows_that_cannot_be_active_are_left_out(tmp_path_factory: pytest.TempPathFactory) -> None:
     arm = loaded_arm("toy", tmp_path_factory)
     ball = Sphere(name="ball", center=(0.5, 0.1, 0.6), radius=0.1)
-    field = ClearanceField.of(arm, [ball])
+    field = ClearanceField.build(arm, [ball])
     generator = np.random.default_rng(5)
     control = np.cumsum(generator.uniform(-0.02, 0.1, (17, arm.dof)), axis=0)
     control[:3], control[-3:] = control[2], control[-3]

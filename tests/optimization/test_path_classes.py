@@ -14,7 +14,7 @@ START, GOAL = np.array([0.0, 1.2, 0.3, 0.3]), np.array([0.0, 0.1, 0.3, 0.3])
 
 @pytest.fixture(scope="module")
 def field(robot):
-    return ClearanceField.of(robot, [Sphere(name="ball", center=(1.6, 0.0, 1.6), radius=0.25).solids[0]])
+    return ClearanceField.build(robot, [Sphere(name="ball", center=(1.6, 0.0, 1.6), radius=0.25).solids[0]])
 
 
 def bent(sideways):
@@ -37,4 +37,4 @@ def test_against_plain_numpy(field):
 
 def clear_between(field, path, other):
     parts = np.arange(1, BETWEEN + 1)[:, None, None] / (BETWEEN + 1)
-    return (field.along((path + parts * (other - path)).reshape(-1, path.shape[1])) >= 0.0).all()
+    return (field.clearance_along((path + parts * (other - path)).reshape(-1, path.shape[1])) >= 0.0).all()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
-from hplan.optimization.repair import leave_contact, repaired
+from hplan.optimization.repair import leave_contact, repair
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.obstacles import Box, Capsule, Sphere
 
@@ -46,7 +46,7 @@ def assert_clear(robot: Robot, obstacles: list[Sphere | Capsule], path: np.ndarr
 def test_out_between_obstacles_that_hold_two_links_from_two_sides(robot, locked) -> None:
     q = np.array([0.0, 0.6, 0.5, 0.4])
     obstacles = near_the_links(robot, q, 1e-3)
-    field = ClearanceField.of(robot, obstacles)
+    field = ClearanceField.build(robot, obstacles)
     assert (field.link_clearances(q) < 1.5e-3).sum() == 2
     lower, upper = robot.lower.copy(), robot.upper.copy()
     if locked:
@@ -70,8 +70,8 @@ FAR = 1e-3
 
 
 def mend(path: Any, solids: Any, robot: Robot = ROBOT, margin: float = FAR) -> tuple[np.ndarray, list[int]]:
-    field = ClearanceField.of(robot, solids)
-    return repaired(np.asarray(path, dtype=float), field, robot.lower, robot.upper, margin)
+    field = ClearanceField.build(robot, solids)
+    return repair(np.asarray(path, dtype=float), field, robot.lower, robot.upper, margin)
 
 
 def assert_repaired(robot: Robot, solids: Any, path: np.ndarray, found: np.ndarray, contacts: list[int]) -> None:
@@ -83,7 +83,7 @@ def assert_repaired(robot: Robot, solids: Any, path: np.ndarray, found: np.ndarr
     assert rows[-1] == len(found) - 1
     assert (found >= np.minimum(robot.lower, path.min(axis=0))).all()
     assert (found <= np.maximum(robot.upper, path.max(axis=0))).all()
-    checker, field = CoalScene(robot, solids), ClearanceField.of(robot, solids)
+    checker, field = CoalScene(robot, solids), ClearanceField.build(robot, solids)
     for number, (first, last) in enumerate(itertools.pairwise(rows)):
         stretch = found[first : last + 1]
         if number in contacts:
@@ -100,7 +100,7 @@ def test_joints_one_after_the_other() -> None:
     """Lifting first and turning then passes a low post that the straight motion would hit."""
     low = Capsule(name="low", start=(0.9, 0.25, 0.0), end=(0.9, 0.25, 0.9), radius=0.03)
     path = np.array([[0.0, 0.05, 0.0, 0.0], [0.45, 0.5, 0.0, 0.0]])
-    assert not ClearanceField.of(ROBOT, [low]).is_clear(path, FAR)
+    assert not ClearanceField.build(ROBOT, [low]).is_clear(path, FAR)
     found, contacts = mend(path, [low])
     assert contacts == []
     np.testing.assert_array_equal(found, [path[0], [0.0, 0.5, 0.0, 0.0], path[1]])
@@ -111,15 +111,15 @@ def test_locked_joints_do_not_move() -> None:
     """Only movable joints are used; if none helps the motion is named."""
     ball = Sphere(name="ball", center=(1.7, 0.0, 0.54), radius=0.05)
     path = np.array([[-0.2, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0, 0.0]])
-    field = ClearanceField.of(ROBOT, [ball])
+    field = ClearanceField.build(ROBOT, [ball])
     lower, upper = ROBOT.lower.copy(), ROBOT.upper.copy()
     lower[2:] = upper[2:] = 0.0
-    found, contacts = repaired(path, field, lower, upper, FAR)
+    found, contacts = repair(path, field, lower, upper, FAR)
     assert contacts == []
     assert (found[:, 2:] == 0.0).all()
     assert (found[:, 1] > 0.0).any()
     lower[1:] = upper[1:] = 0.0
-    found, contacts = repaired(path, field, lower, upper, FAR)
+    found, contacts = repair(path, field, lower, upper, FAR)
     assert contacts == [0]
     np.testing.assert_array_equal(found, path)
 
@@ -173,7 +173,7 @@ def test_most_motions_that_graze_are_mended(seed: int) -> None:
         last = np.clip(first + rng.uniform(-0.06, 0.06, 4), ROBOT.lower, ROBOT.upper)
         tool = ROBOT.tool_positions(0.5 * (first + last)) + rng.normal(size=3) * 0.02
         ball = Sphere(name="ball", center=tuple(tool.tolist()), radius=float(rng.uniform(0.005, 0.02)))
-        field = ClearanceField.of(ROBOT, [ball])
+        field = ClearanceField.build(ROBOT, [ball])
         path = np.stack([first, last])
         if min(map(field.clearance, path)) < 2.0 * FAR or field.is_clear(path, FAR):
             continue

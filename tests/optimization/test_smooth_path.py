@@ -17,7 +17,7 @@ from hplan.geometry.polyline import path_length
 from hplan.optimization import coarse_profile as coarse
 from hplan.optimization import smooth_path as postprocess_path
 from hplan.optimization.coarse_profile import coarse_profile
-from hplan.optimization.minimize_time import Effort, Level
+from hplan.optimization.minimize_time import Level, OptimizerEffort
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.push_clear import clear_spline
 from hplan.optimization.several_starts import StartsEffort, fastest_motions, optimization_starts
@@ -38,7 +38,7 @@ PLANAR = np.array([1, 2, 3])
 
 @pytest.fixture(scope="module")
 def field(robot, scene):
-    return ClearanceField.of(robot, scene.solids)
+    return ClearanceField.build(robot, scene.solids)
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +141,7 @@ def test_shortened_random_paths(robot):
             )
             for i in range(4)
         ]
-        field, checker = ClearanceField.of(robot, balls), CoalScene(robot, balls)
+        field, checker = ClearanceField.build(robot, balls), CoalScene(robot, balls)
         path = np.clip(
             np.cumsum(np.vstack([rng.uniform(0, 1.5, 4), rng.normal(0, 0.12, (30, 4))]), axis=0), 0, robot.upper
         )
@@ -179,7 +179,7 @@ def test_corner_in_contact_cannot_be_rounded(robot):
     tip = robot.tool_positions(path[1])
     ball = Sphere(name="ball", center=tuple(map(float, tip)), radius=0.05)
     with pytest.raises(CertificationError, match="corners cannot be rounded"):
-        clear_rounding(path, ClearanceField.of(robot, [ball]), margin=1e-3)
+        clear_rounding(path, ClearanceField.build(robot, [ball]), margin=1e-3)
 
 
 # Splines moved away from obstacles, and their speed
@@ -217,7 +217,7 @@ def test_largest_speeds_at_which_all_joints_can_accelerate(options, seed):
     And |q'|^2 x <= v^2.
     """
     control = np.random.default_rng(seed).uniform(-1.0, 1.0, (9, 4))
-    grid = coarse._grid_of(SplinePath.through(control).knots, 6)
+    grid = coarse._grid_of(SplinePath.from_control_points(control).knots, 6)
     demands = np.empty((len(grid.first), 9))
     velocity = 100.0 * options.velocity  # for the limits by acceleration alone
     coarse._demands(control, grid, replace(options, velocity=velocity, movable=np.arange(4)).joints, demands)
@@ -244,7 +244,7 @@ def test_reference_path(robot, field, checker, grid_path, options, smoothed):
     assert path.is_clear(field, 0.5 * 0.05 * MARGIN)
     assert path.length < path_length(grid_path)
     assert_same(path, smoothed(grid_path, field, options))
-    assert_same(path, smoothed(grid_path.copy(), ClearanceField.of(robot, [*_solids(checker)]), options))
+    assert_same(path, smoothed(grid_path.copy(), ClearanceField.build(robot, [*_solids(checker)]), options))
 
 
 def _solids(checker):
@@ -292,7 +292,7 @@ def test_random_clear_paths(robot, options, smoothed):
             Sphere(name=f"b{i}", center=(rng.uniform(-1, 2), 0.0, rng.uniform(0.8, 2.6)), radius=rng.uniform(0.03, 0.2))
             for i in range(4)
         ]
-        field, checker = ClearanceField.of(robot, balls), CoalScene(robot, balls)
+        field, checker = ClearanceField.build(robot, balls), CoalScene(robot, balls)
         path = np.clip(
             np.cumsum(np.vstack([rng.uniform(0, 1.5, 4), rng.normal(0, 0.12, (25, 4))]), axis=0), 0, robot.upper
         )
@@ -311,7 +311,7 @@ def test_random_clear_paths(robot, options, smoothed):
 def test_clear_straight_motion_stays_straight(robot, options):
     """If one joint limits the duration the straight line is optimal: no search."""
     free = replace(options, movable=np.arange(4))
-    field = ClearanceField.of(robot, [Sphere(name="far", center=(-1.5, 0.0, 1.0), radius=0.1)])
+    field = ClearanceField.build(robot, [Sphere(name="far", center=(-1.5, 0.0, 1.0), radius=0.1)])
     start, end = np.array([0.0, 0.4, 0.3, 0.2]), np.array([1.0, 0.7, 0.3, 0.3])
     detour = np.array([start, [0.4, 0.9, 0.3, 0.2], end])
     for path in (np.array([start, end]), detour):
@@ -325,10 +325,10 @@ def test_culled_obstacles_are_not_touched(robot, options, monkeypatch):
     monkeypatch.setattr(postprocess_path, "NEAR", 1e-6)
     monkeypatch.setattr(postprocess_path, "FEW", 0)
     ball = Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15)
-    field, checker = ClearanceField.of(robot, [ball]), CoalScene(robot, [ball])
+    field, checker = ClearanceField.build(robot, [ball]), CoalScene(robot, [ball])
     path = np.radians([[0, 0, 0, 0], [0, 0, 90, 90], [0, 60, 90, 90], [0, 60, 0, 0]])
     assert field.is_clear(path, 1e-4)
-    unseen = field.near(path, 1e-6)
+    unseen = field.select_near(path, 1e-6)
     assert len(unseen.solids) == 0
     assert not clear_path(path, unseen, options).is_clear(field, 1e-6)  # would go straight through the ball
     found = clear_path(path, field, options)
@@ -337,12 +337,12 @@ def test_culled_obstacles_are_not_touched(robot, options, monkeypatch):
 
 START, GOAL = np.array([0.15, 1.2, 0.3, 0.3]), np.array([0.15, 0.1, 0.3, 0.3])
 LEVELS = (Level(0.1, (15, 30), 10, 1e-2, 0.2), Level(0.05, (20, 40), 3, 1e-2, 0.05))
-EFFORT = StartsEffort(Effort(LEVELS), rough=4, others=1, finished=1)
+EFFORT = StartsEffort(OptimizerEffort(LEVELS), rough=4, others=1, finished=1)
 
 
 @pytest.fixture(scope="module")
 def problem(robot):
-    field = ClearanceField.of(robot, [Sphere(name="ball", center=(1.6, 0.0, 1.6), radius=0.25).solids[0]])
+    field = ClearanceField.build(robot, [Sphere(name="ball", center=(1.6, 0.0, 1.6), radius=0.25).solids[0]])
     options = PostprocessOptions(
         lower=robot.lower, upper=robot.upper, velocity=robot.velocity_limit, acceleration=robot.acceleration_limit,
         movable=np.arange(4), margin=2e-3,

@@ -34,7 +34,7 @@ everywhere = settings(max_examples=60)
 @given(control_points())
 def test_values_and_derivatives_are_those_of_scipy(control):
     interpolate = pytest.importorskip("scipy.interpolate")
-    path = SplinePath.through(control)
+    path = SplinePath.from_control_points(control)
     reference = interpolate.BSpline(path.knots, path.control, 3)
     s = np.linspace(0.0, path.end, 137)
     for derivative in (0, 1, 2):
@@ -47,7 +47,7 @@ def test_values_and_derivatives_are_those_of_scipy(control):
 @everywhere
 @given(control_points())
 def test_ends_are_exact_and_nothing_jumps_at_breaks(control):
-    path = SplinePath.through(control)
+    path = SplinePath.from_control_points(control)
     np.testing.assert_array_equal(path.evaluate(0.0), control[0])
     np.testing.assert_allclose(path.evaluate(path.end), control[-1], rtol=0, atol=1e-15 * np.abs(control).max())
     b = path.pieces
@@ -69,7 +69,7 @@ def test_ends_are_exact_and_nothing_jumps_at_breaks(control):
 @everywhere
 @given(control_points())
 def test_path_is_in_the_hull_of_its_control_points(control):
-    path = SplinePath.through(control)
+    path = SplinePath.from_control_points(control)
     points = path.evaluate(np.linspace(0.0, path.end, 301))
     assert (points >= control.min(axis=0) - 1e-12).all()
     assert (points <= control.max(axis=0) + 1e-12).all()
@@ -86,7 +86,7 @@ def test_path_is_in_the_hull_of_its_control_points(control):
 @everywhere
 @given(control_points())
 def test_length(control):
-    path = SplinePath.through(control)
+    path = SplinePath.from_control_points(control)
     points = path.evaluate(np.linspace(0.0, path.end, 20001))
     chords = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
     polygon = np.linalg.norm(np.diff(control, axis=0), axis=1).sum()
@@ -95,7 +95,7 @@ def test_length(control):
 
 
 def test_evaluate_clips_and_keeps_shapes():
-    path = SplinePath.through(np.random.default_rng(1).uniform(size=(6, 3)))
+    path = SplinePath.from_control_points(np.random.default_rng(1).uniform(size=(6, 3)))
     np.testing.assert_array_equal(path.evaluate([-1.0, 99.0]), path.control[[0, -1]])
     assert path.evaluate(0.3).shape == (3,)
     assert path.evaluate(np.zeros((2, 5)), 2).shape == (2, 5, 3)
@@ -118,7 +118,7 @@ def test_no_piece_in_contact_is_accepted_and_few_others_refused(robot):
     accepted = refused = 0
     while accepted + refused < 250:
         obstacles = random_obstacles(rng, 3)
-        checker, field = CoalScene(robot, obstacles), ClearanceField.of(robot, obstacles)
+        checker, field = CoalScene(robot, obstacles), ClearanceField.build(robot, obstacles)
         for _ in range(20):
             piece = rng.uniform(robot.lower, robot.upper) + np.cumsum(rng.uniform(-0.2, 0.2, (4, 4)), axis=0)
             if field.clearance(piece[0]) <= 0.0 or not -0.05 < field.clearance(bezier(piece, [0.5])[0]) < 0.2:
@@ -145,16 +145,16 @@ def test_contact_of_a_piece_for_a_moment_is_refused(robot):
             for gap, clear in ((-depth, False), (depth, True)):
                 reach = 2.2 + 0.03 + 0.001 + gap
                 bead = Sphere(name="bead", center=(reach * np.cos(at), 0, 0.6 + reach * np.sin(at)), radius=0.001)
-                field = ClearanceField.of(robot, [bead])
+                field = ClearanceField.build(robot, [bead])
                 arrays = field.arrays
                 assert piece_is_clear(piece, arrays, 0.5e-4, 0.0) is clear
                 assert piece_is_clear(np.ascontiguousarray(piece[::-1]), arrays, 0.5e-4, 0.0) is clear
 
 
 def test_piece_in_contact_is_named(robot, scene):
-    field = ClearanceField.of(robot, scene.solids)
+    field = ClearanceField.build(robot, scene.solids)
     control = np.radians(np.column_stack([np.zeros(12), np.linspace(0, 88, 12), np.zeros(12), np.zeros(12)]))
-    path = SplinePath.through(control)
+    path = SplinePath.from_control_points(control)
     checker = CoalScene(robot, scene.solids)
     expected = []
     for low, high in zip(path.breaks[:-1], path.breaks[1:], strict=True):
@@ -164,15 +164,15 @@ def test_piece_in_contact_is_named(robot, scene):
     assert 0 < sum(expected) < len(expected)
     assert not path.is_clear(field, 1e-6)
     assert not pieces_are_clear(MovableSpline(path.control, path.knots), field.arrays, 1e-6)
-    nothing = ClearanceField.of(robot, [])
+    nothing = ClearanceField.build(robot, [])
     assert pieces_are_clear(MovableSpline(path.control, path.knots), nothing.arrays, 1e-6)
 
 
 def test_spline_that_is_not_a_number_is_not_clear(robot, scene):
     control = np.zeros((5, 4))
     control[:, 1] = [0.0, 0.1, np.nan, 0.3, 0.4]
-    knots = SplinePath.through(np.linspace(0.0, 1.0, 5)[:, None]).knots
-    assert not SplinePath(control, knots).is_clear(ClearanceField.of(robot, scene.solids), 1e-3)
+    knots = SplinePath.from_control_points(np.linspace(0.0, 1.0, 5)[:, None]).knots
+    assert not SplinePath(control, knots).is_clear(ClearanceField.build(robot, scene.solids), 1e-3)
 
 
 def swing(clock):
@@ -191,7 +191,7 @@ def test_breaks_are_at_samples_and_equally_spaced():
 
 @pytest.mark.parametrize("pieces", [20, 40])
 def test_near_is_near(pieces):
-    spline = TimedSpline.near(swing, even_breaks(1.0, pieces))
+    spline = TimedSpline.approximate(swing, even_breaks(1.0, pieces))
     clock = np.linspace(0.0, 1.0, 501)
     error = np.abs(spline.path.evaluate(clock) - swing(clock)).max()
     assert error < 12.0 / pieces**4 * 5.0
@@ -199,8 +199,8 @@ def test_near_is_near(pieces):
 
 
 def test_rows_are_the_motion(robot):
-    dynamics = InverseDynamics.of(robot.model)
-    spline = TimedSpline.near(swing, breaks_at_rows(250, 40, 250.0))
+    dynamics = InverseDynamics.build(robot.model)
+    spline = TimedSpline.approximate(swing, breaks_at_rows(250, 40, 250.0))
     rows = spline.trajectory(dynamics, 250.0)
     assert rows.samples == 251
     assert rows.duration == 1.0

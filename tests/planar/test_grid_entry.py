@@ -29,7 +29,7 @@ MARGIN = 1e-3
 
 @pytest.fixture(scope="module")
 def grid(robot):
-    return Grid.over(robot.lower[PLANAR], robot.upper[PLANAR], STEP)
+    return Grid.from_limits(robot.lower[PLANAR], robot.upper[PLANAR], STEP)
 
 
 def joined(robot, grid, q, obstacles=(), occupied=(), yaw=0.0):
@@ -37,7 +37,7 @@ def joined(robot, grid, q, obstacles=(), occupied=(), yaw=0.0):
     mask = np.zeros(grid.shape, dtype=bool)
     for node in occupied:
         mask[tuple(node)] = True
-    field = ClearanceField.of(robot, obstacles)
+    field = ClearanceField.build(robot, obstacles)
     template = np.array([yaw, *q])
     nodes = joined_nodes(Occupancy.from_mask(grid, mask), template, np.array([1, 2, 3]), field, MARGIN)
     found = [tuple(int(i) for i in node) for node in nodes]

@@ -15,7 +15,7 @@ from hplan.errors import HplanError, OptionError
 from hplan.planar.grid.grid import Occupancy
 from hplan.planar.grid.yaw_layers import LayerCache, turning_occupancy, yaw_axis
 from hplan.planar.grid_route import find_route
-from hplan.planar.grids import GridAttempt, grid_axes, planar_grid, prepared
+from hplan.planar.grids import GridAttempt, grid_axes, planar_grid, prepare_world
 from hplan.planar.no_path_proof import EnclosedError, enclosed_goals, prove_infeasible
 from hplan.planning.options import PlanOptions
 from hplan.planning.problem import Problem
@@ -52,7 +52,7 @@ def test_step_that_gives_no_grid(robot: Robot, scene: Scene) -> None:
 
 def labels_of(space: Occupancy) -> Any:
     ndimage = pytest.importorskip("scipy.ndimage")
-    return ndimage.label(~space.occupied, structure=np.ones((3,) * len(space.grid.shape)))[0]
+    return ndimage.label(~space.occupied_mask, structure=np.ones((3,) * len(space.grid.shape)))[0]
 
 
 def on_nodes(values: Sequence[float], step: float) -> tuple[float, ...]:
@@ -75,12 +75,12 @@ def test_no_path_is_reported_if_none_exists(robot: Robot, seed: int) -> None:
         problem = posed(robot, scene)
     except HplanError:
         return
-    bodies, planar = prepared(problem.world), planar_grid(problem, GridAttempt(step))
+    bodies, planar = prepare_world(problem.world), planar_grid(problem, GridAttempt(step))
     ends = problem.start, problem.goal
     yaws = yaw_axis(ends[0][0], ends[1][0], math.radians(step), robot.lower[0], robot.upper[0], 0.0)
     space = turning_occupancy(robot, bodies, planar, yaws, layers=LayerCache())
     labels = labels_of(space)
-    first, second = (labels[tuple(space.grid.nearest(q[grid_axes(problem)]))] for q in ends)
+    first, second = (labels[tuple(space.grid.nearest_node(q[grid_axes(problem)]))] for q in ends)
     assert first > 0
     assert second > 0
     error = shown_enclosed(problem, GridAttempt(step))

@@ -148,8 +148,8 @@ def test_reference_scene_cell_for_cell(robot, table_1, model):
     result = occupancy(robot.arm, planar_sections(discs, robot.arm.half_widths, link_model=model), grid)
     assert grid.shape == (91, 91, 91)
     table_1_counts = {"capsule": 128_891, "paper": 127_973, "rectangle": 127_342}
-    assert result.occupied_count == result.occupied.sum() == table_1_counts[model]
-    np.testing.assert_array_equal(result.occupied, MARGINS[model](robot.arm, grid, discs) <= 0.0)
+    assert result.occupied_count == result.occupied_mask.sum() == table_1_counts[model]
+    np.testing.assert_array_equal(result.occupied_mask, MARGINS[model](robot.arm, grid, discs) <= 0.0)
 
 
 # Random arms and obstacles
@@ -173,7 +173,7 @@ def random_arm(rng, count, lengths=(0.2, 1.2), widths=(0.01, 0.15)):
 def random_grid(rng, arm):
     nodes = {1: 400, 2: 40, 3: 12, 4: 7}[arm.link_count]
     counts = rng.integers(max(2, nodes // 2), nodes + 1, arm.link_count)
-    return Grid.over(arm.lower, arm.upper, (arm.upper - arm.lower) / counts)
+    return Grid.from_limits(arm.lower, arm.upper, (arm.upper - arm.lower) / counts)
 
 
 def random_place(rng, reach):
@@ -204,7 +204,7 @@ def check_random_scene(seed, model, polygons):
     grid = random_grid(rng, arm)
     make = random_polygon if polygons else random_disc
     obstacles = [make(rng, arm.lengths.sum()) for _ in range(rng.integers(1, 4))]
-    occupied = occupancy(arm, planar_sections(obstacles, arm.half_widths, link_model=model), grid).occupied
+    occupied = occupancy(arm, planar_sections(obstacles, arm.half_widths, link_model=model), grid).occupied_mask
     assert_same(occupied, MARGINS[model](arm, grid, obstacles))
     return occupied.mean()
 
@@ -221,10 +221,10 @@ def test_stout_and_thin_links(model, length, width):
     """Links wider than long, and wider than the obstacle."""
     rng = np.random.default_rng(5)
     arm = random_arm(rng, 1, lengths=(length, length), widths=(width, width))
-    grid = Grid.over([-7.0], [7.0], 0.02)
+    grid = Grid.from_limits([-7.0], [7.0], 0.02)
     for _ in range(100):
         disc = RoundedPolygon(random_place(rng, length + width)[None], rng.uniform(0.001, 0.3))
-        occupied = occupancy(arm, planar_sections([disc], arm.half_widths, link_model=model), grid).occupied
+        occupied = occupancy(arm, planar_sections([disc], arm.half_widths, link_model=model), grid).occupied_mask
         assert_same(occupied, MARGINS[model](arm, grid, [disc]))
 
 
@@ -267,7 +267,7 @@ def test_awkward_polygons(name, radius):
             grid = joint_grid(arm, 0.01)
             sections = planar_sections([RoundedPolygon(vertices @ rotation, radius)], arm.half_widths)
             margins = capsule_margins(arm, grid, [RoundedPolygon(counter_clockwise @ rotation, radius)])
-            assert_same(occupancy(arm, sections, grid).occupied, margins, f"at turn {turn}")
+            assert_same(occupancy(arm, sections, grid).occupied_mask, margins, f"at turn {turn}")
 
 
 def test_vertices_that_coincide_seen_from_the_second_joint():
@@ -276,8 +276,8 @@ def test_vertices_that_coincide_seen_from_the_second_joint():
     sliver = RoundedPolygon(np.array([[near, 0.3], [far, 0.3], [0.01, 0.2]]), 0.01)
     rng = np.random.default_rng(0)
     arm = replace(random_arm(rng, 2, widths=(0.01, 0.02)), lengths=np.array([1.0, 1.0]))
-    grid = Grid.over(arm.lower, arm.upper, (arm.upper - arm.lower) / 40)
-    occupied = occupancy(arm, planar_sections([sliver], arm.half_widths), grid).occupied
+    grid = Grid.from_limits(arm.lower, arm.upper, (arm.upper - arm.lower) / 40)
+    occupied = occupancy(arm, planar_sections([sliver], arm.half_widths), grid).occupied_mask
     assert 0.0 < occupied.mean() < 0.5
     assert_same(occupied, capsule_margins(arm, grid, [sliver]))
 
@@ -289,7 +289,7 @@ def test_joint_on_the_side_of_a_polygon_collides_always(turn):
     wall = (0.3 * SQUARE + [0.3, 0.07]) @ rotation
     arm = one_link(half_width=0.0)
     result = occupancy(arm, planar_sections([RoundedPolygon(wall, 0.0)], arm.half_widths), joint_grid(arm, 0.01))
-    assert result.occupied.all()
+    assert result.occupied_mask.all()
 
 
 # Grids
@@ -305,7 +305,7 @@ def test_forbidden_interval_between_any_two_nodes(first, last):
     reach = math.sqrt(1.0 + 4.0 - 4.0 * math.cos(half))  # equation (2) for the disc's radius
     grid = Grid(readonly([0.0]), readonly([step]), (129,))
     sections = planar_sections([RoundedPolygon(disc.vertices, reach - 1e-6)], arm.half_widths)
-    assert np.flatnonzero(occupancy(arm, sections, grid).occupied).tolist() == list(range(first, last + 1))
+    assert np.flatnonzero(occupancy(arm, sections, grid).occupied_mask).tolist() == list(range(first, last + 1))
 
 
 # Invalid arguments
@@ -313,4 +313,4 @@ def test_forbidden_interval_between_any_two_nodes(first, last):
 
 def test_grid_of_another_arm_is_refused(robot, scene):
     with pytest.raises(InputError, match="the arm has 3 links, the grid has 2 axes, and the sections are for 3 links"):
-        occupancy(robot.arm, arm_sections(robot, scene.solids), Grid.over([0, 0], [1, 1], 0.1))
+        occupancy(robot.arm, arm_sections(robot, scene.solids), Grid.from_limits([0, 0], [1, 1], 0.1))

@@ -16,9 +16,9 @@ from studies.planar_problems import random_scene
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, readonly
 from hplan.errors import OptionError
-from hplan.planar.grid import SearchResult, dense_search, reachable, slices_with_path, two_level_search
+from hplan.planar.grid import SearchResult, dense_search, reachable_nodes, slices_with_path, two_level_search
 from hplan.planar.grid.astar import bound
-from hplan.planar.grid.blockers import _grown, blockers
+from hplan.planar.grid.blockers import _dilate, blockers
 from hplan.planar.grid.flood import flood_slices
 from hplan.planar.grid.grid import MAX_NODES, Grid, Occupancy, words_for
 from hplan.planar.grid.lattice import Lattice
@@ -142,7 +142,7 @@ def test_rooms_and_discs(seed: int) -> None:
 @pytest.mark.parametrize("density", [0.0, 0.4, 0.7])
 def test_reachable_is_the_component(shape: tuple[int, ...], density: float) -> None:
     free, start, _, step = random_case(np.random.default_rng(len(shape)), shape, density)
-    assert np.array_equal(reachable(make_occupancy(free, step), start), component(free, start))
+    assert np.array_equal(reachable_nodes(make_occupancy(free, step), start), component(free, start))
 
 
 # Slices without a path, where each kind of restoration is needed: built on purpose, in both directions
@@ -184,7 +184,7 @@ def octile(lattice: Lattice, node: tuple[int, ...], goal: tuple[int, ...]) -> fl
 @pytest.mark.parametrize(("shape", "step"), SPACES)
 def test_octile_bound_is_exact_on_an_empty_grid(shape: tuple[int, ...], step: list[float]) -> None:
     free = np.ones(shape, dtype=bool)
-    lattice = Lattice.of(shape, np.array(step))
+    lattice = Lattice.build(shape, np.array(step))
     goal = tuple(count // 3 for count in shape)
     for node in itertools.islice(np.ndindex(shape), 0, None, 3):
         cost, _ = shortest(free, np.array(node), np.array(goal), np.array(step))
@@ -194,7 +194,7 @@ def test_octile_bound_is_exact_on_an_empty_grid(shape: tuple[int, ...], step: li
 @pytest.mark.parametrize(("shape", "step"), SPACES)
 def test_octile_bound_is_consistent(shape: tuple[int, ...], step: list[float]) -> None:
     free = np.ones(shape, dtype=bool)
-    lattice = Lattice.of(shape, np.array(step))
+    lattice = Lattice.build(shape, np.array(step))
     goal = tuple(count - 1 for count in shape)
     assert octile(lattice, goal, goal) == 0.0
     for node in np.ndindex(shape):
@@ -217,7 +217,7 @@ def reference(robot: Robot, scene: Scene, model: LinkModel = "capsule") -> Occup
 @pytest.fixture(scope="module")
 def demonstration() -> Occupancy:
     """The paper's workspace: a ball in the middle of 21 layers."""
-    grid = Grid.over([0, 0, 5], [60, 60, 25], 1.0)
+    grid = Grid.from_limits([0, 0, 5], [60, 60, 25], 1.0)
     mesh = np.stack(np.meshgrid(*(grid.axis(k) for k in range(3)), indexing="ij"), axis=-1)
     return Occupancy.from_mask(grid, np.linalg.norm(mesh - [30, 30, 15], axis=-1) <= 7.5)
 
@@ -228,7 +228,7 @@ def demonstration() -> Occupancy:
 )
 def test_reference_scene(robot: Robot, scene: Scene, model: LinkModel, cost: float, first: int) -> None:
     space = reference(robot, scene, model)
-    free = ~space.occupied
+    free = ~space.occupied_mask
     for octile in (True, False):
         result = two_level_search(space, START, GOAL, octile=octile)
         assert result.path is not None
@@ -244,12 +244,12 @@ def test_reference_scene(robot: Robot, scene: Scene, model: LinkModel, cost: flo
 
 
 def test_workspace_demonstration(demonstration: Occupancy) -> None:
-    start, goal = demonstration.grid.nearest([5, 10, 5]), demonstration.grid.nearest([55, 50, 25])
+    start, goal = demonstration.grid.nearest_node([5, 10, 5]), demonstration.grid.nearest_node([55, 50, 25])
     dense = dense_search(demonstration, start, goal)
     for octile in (True, False):
         result = two_level_search(demonstration, start, goal, octile=octile)
         assert result.path is not None
-        assert_path(~demonstration.occupied, result.path, start, goal)
+        assert_path(~demonstration.occupied_mask, result.path, start, goal)
         assert len(result.slice_paths) == 21
         assert result.fallback == "none"
         assert dense.cost - 1e-9 <= result.cost <= 1.05 * dense.cost
@@ -293,7 +293,7 @@ def test_grown_takes_in_all_neighbours(shape: tuple[int, ...]) -> None:
     expected = np.zeros(shape, dtype=bool)
     for node in np.argwhere(mask):
         expected[tuple(slice(max(0, i - 1), i + 2) for i in node)] = True
-    np.testing.assert_array_equal(_grown(mask), expected)
+    np.testing.assert_array_equal(_dilate(mask), expected)
 
 
 def test_only_obstacles_at_the_reached_region_count(robot: Robot) -> None:
@@ -304,7 +304,7 @@ def test_only_obstacles_at_the_reached_region_count(robot: Robot) -> None:
     ]
     sections = arm_sections(robot, balls)
     grid = joint_grid(robot.arm, np.radians(3.0))
-    reached = ~occupancy(robot.arm, sections, grid).occupied
+    reached = ~occupancy(robot.arm, sections, grid).occupied_mask
     reached[10:] = False  # the start's side of the near ball
     found = blockers(robot.arm, sections, grid, reached)
     assert {blocker["obstacle"] for blocker in found} == {"near"}
@@ -316,7 +316,7 @@ def test_only_obstacles_at_the_reached_region_count(robot: Robot) -> None:
 def test_slices_are_those_of_the_occupied_border(robot: Robot) -> None:
     sections = arm_sections(robot, [Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15)])
     grid = joint_grid(robot.arm, np.radians(3.0))
-    free = ~occupancy(robot.arm, sections, grid).occupied
+    free = ~occupancy(robot.arm, sections, grid).occupied_mask
     free[..., 11:] = False
     found = blockers(robot.arm, sections, grid, free)
     assert found
@@ -379,7 +379,7 @@ def test_each_layer_is_the_planar_problem_at_its_yaw(tmp_path, count, step) -> N
 
 @given(st.floats(-10, 10), st.floats(1e-3, 20), st.floats(0.01, 30))
 def test_first_and_last_node_are_the_limits(lower, width, step):
-    grid = Grid.over([lower], [lower + width], step)
+    grid = Grid.from_limits([lower], [lower + width], step)
     axis = grid.axis(0)
     assert axis[0] == lower
     assert axis[-1] == pytest.approx(lower + width, abs=1e-12)
@@ -388,13 +388,13 @@ def test_first_and_last_node_are_the_limits(lower, width, step):
 
 
 def test_coordinates_and_places_are_inverse():
-    grid = Grid.over([0.0, -3.0], [1.0, 4.0], [0.1, 0.7])
+    grid = Grid.from_limits([0.0, -3.0], [1.0, 4.0], [0.1, 0.7])
     index = np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij"), axis=-1)
     coordinates = grid.coordinates(index)
     assert coordinates.shape == (11, 11, 2)
     np.testing.assert_allclose(grid.position(coordinates), index, atol=1e-12)
-    np.testing.assert_array_equal(grid.nearest(coordinates[3, 7] + [0.049, -0.34]), [3, 7])
-    np.testing.assert_array_equal(grid.nearest([-5.0, 99.0]), [0, 10])
+    np.testing.assert_array_equal(grid.nearest_node(coordinates[3, 7] + [0.049, -0.34]), [3, 7])
+    np.testing.assert_array_equal(grid.nearest_node([-5.0, 99.0]), [0, 10])
 
 
 @pytest.mark.parametrize(
@@ -402,12 +402,12 @@ def test_coordinates_and_places_are_inverse():
 )
 def test_bad_limits(lower, upper):
     with pytest.raises(OptionError, match=r"limits = .*: expected finite lower"):
-        Grid.over(lower, upper, 0.1)
+        Grid.from_limits(lower, upper, 0.1)
 
 
 def test_too_many_nodes():
     with pytest.raises(OptionError, match=f"at most {MAX_NODES} nodes"):
-        Grid.over([0.0] * 3, [1.0] * 3, 1e-3 / 2)
+        Grid.from_limits([0.0] * 3, [1.0] * 3, 1e-3 / 2)
 
 
 # Occupancy
@@ -420,7 +420,7 @@ def test_mask_round_trip(before, last):
     grid = Grid(readonly(np.zeros(len(shape))), readonly(np.ones(len(shape))), shape)
     mask = np.random.default_rng(last).random(shape) < 0.4
     result = Occupancy.from_mask(grid, mask)
-    np.testing.assert_array_equal(result.occupied, mask)
+    np.testing.assert_array_equal(result.occupied_mask, mask)
     assert result.occupied_count == mask.sum()
     assert result.free_words.shape == (math.prod(before), words_for(last))
     for index in np.ndindex(shape):
@@ -444,7 +444,7 @@ def test_two_neighbours_are_joined(shape: tuple[int, ...]) -> None:
                 continue
             free = np.zeros(shape, dtype=bool)
             free[tuple(first)] = free[tuple(second)] = True
-            reached = reachable(make_occupancy(free, np.ones(len(shape))), first)
+            reached = reachable_nodes(make_occupancy(free, np.ones(len(shape))), first)
             np.testing.assert_array_equal(reached, free, err_msg=f"{first} and {second}")
 
 
@@ -458,7 +458,7 @@ def test_nodes_two_apart_are_not(bit: int, apart: tuple[int, int, int]) -> None:
         return
     free = np.zeros(shape, dtype=bool)
     free[tuple(first)] = free[tuple(second)] = True
-    reached = reachable(make_occupancy(free, np.ones(3)), first)
+    reached = reachable_nodes(make_occupancy(free, np.ones(3)), first)
     assert reached.sum() == 1
     assert reached[tuple(first)]
 
@@ -469,10 +469,10 @@ def test_slices_are_flooded_separately() -> None:
     start = np.array([2, 3, 0])
     free[2, 3] = True
     space = make_occupancy(free, np.ones(3))
-    lattice = Lattice.of(space.grid.shape, space.grid.step)
-    words = lattice.bordered(space.free_words)
+    lattice = Lattice.build(space.grid.shape, space.grid.step)
+    words = lattice.add_border(space.free_words)
     reached, count = flood_slices(lattice, words, lattice.row_of(start), lattice.mask(range(130)))
-    bits = np.unpackbits(lattice.unbordered(reached).view(np.uint8), axis=1, bitorder="little")
+    bits = np.unpackbits(lattice.remove_border(reached).view(np.uint8), axis=1, bitorder="little")
     ours = bits[:, :130].reshape(free.shape).astype(bool)
     for number in range(130):
         np.testing.assert_array_equal(ours[..., number], component(free[..., number], start[:2]))

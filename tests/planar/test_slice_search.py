@@ -36,8 +36,8 @@ def test_slice_path_is_as_short_as_a_search_of_its_own(seed: int, forward: bool)
         ends = np.array([[0, 0, 0], [SIDE - 1, SIDE - 1, slices - 1]])
         start, goal = ends if forward else ends[::-1]
         space = make_occupancy(~occupied, np.array([1.0, 0.7, 1.0]))
-        lattice = Lattice.of(space.grid.shape, space.grid.step)
-        found = search_slices(lattice, lattice.bordered(space.free_words), start, goal, range(slices)).paths()
+        lattice = Lattice.build(space.grid.shape, space.grid.step)
+        found = search_slices(lattice, lattice.add_border(space.free_words), start, goal, range(slices)).paths()
         for k in range(slices):
             plane = make_occupancy(~occupied[..., k], space.grid.step[:2])
             alone = dense_search(plane, start[:2], goal[:2], octile=True)

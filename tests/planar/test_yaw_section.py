@@ -70,7 +70,7 @@ def test_region_is_where_coal_finds_the_arm_in_collision(robot: Robot, section: 
     decided = 0
     for index in random.integers(0, section.grid.shape, (400, 3)):
         value = section.field[tuple(index)]
-        nearest = checker.nearest(np.array([section.yaw, *section.grid.coordinates(index)]))
+        nearest = checker.nearest_contact(np.array([section.yaw, *section.grid.coordinates(index)]))
         assert nearest is not None
         if abs(value) > 1e-6:
             assert (nearest.distance_m < 0.0) == (value < 0.0)

@@ -140,7 +140,7 @@ def test_unreachable_and_blocked_goals_are_distinguished(picker: Robot) -> None:
 
 def test_tool_length_is_measured(picker: Robot) -> None:
     assert tool_thickness(picker, 0.0) == pytest.approx(0.0, abs=1e-9)
-    world = World.of(picker, [])
+    world = World.build(picker, [])
     wide = Target.of_fruit(
         world, FRUITS[0], scene_of(picker, Goal(fruit=FRUITS[0].name)), hplan.PlanOptions()
     ).least_standoff

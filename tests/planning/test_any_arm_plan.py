@@ -101,7 +101,7 @@ def test_robot_without_shapes_is_neither_planned_for_nor_certified() -> None:
         with pytest.raises(RobotFileError, match="no moving link has a <collision>: the robot could touch nothing"):
             plan(bare, scene, options)
     limits = Limits(bare.velocity_limit, bare.acceleration_limit, None, None)
-    path = SplinePath.through(np.linspace(bare.lower + 0.1, bare.lower + 0.2, 5))
+    path = SplinePath.from_control_points(np.linspace(bare.lower + 0.1, bare.lower + 0.2, 5))
     with pytest.raises(RobotFileError, match="no moving link has a <collision>: the robot could touch nothing"):
         certify(bare, scene, time_path(path, bare.dynamics, limits, rate_hz=100.0))
 

@@ -16,7 +16,7 @@ from hplan.certificate.certificate import certify
 from hplan.certificate.digests import scene_digest
 from hplan.errors import HplanError, InputError, OptionError, SceneError, StartStateError, UnavoidableContactError
 from hplan.planning import plans as planning
-from hplan.planning.approach import LEADS, Approach, blended
+from hplan.planning.approach import LEADS, Approach, blend
 from hplan.planning.motion import seconds
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
@@ -51,7 +51,7 @@ def plans(robot: Robot) -> dict[str, tuple[Scene, PlanResult, Told]]:
             def keep(task: Any, transit: Any, before: Any, after: Approach, told: Told = told) -> Any:
                 told.asked, told.approach = (task, transit), after
                 told.stopping = transit.trajectory.duration + 2.0 * after.from_rest.trajectory.duration
-                told.blended = blended(task, transit, before, after)
+                told.blended = blend(task, transit, before, after)
                 return told.blended
 
             patch.setattr(planning, "blended", keep)
@@ -138,7 +138,7 @@ def test_where_the_stop_is_as_quick_the_arm_stops(plans: Any) -> None:
         time = rest.trajectory.time * (left / rest.trajectory.duration)
         approach = replace(told.approach)
         vars(approach)["from_rest"] = replace(rest, trajectory=replace(rest.trajectory, time=time))
-        found = blended(task, transit, None, approach)
+        found = blend(task, transit, None, approach)
         assert (found is not None) is is_blended
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import hplan
 from hplan.errors import OptionError
-from hplan.planning.grasps import SAME, caught
+from hplan.planning.grasps import SAME, capture_probabilities
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 
@@ -34,10 +34,10 @@ def test_shares_are_those_of_the_normal_distribution() -> None:
     for sigma in (0.003, 0.01, 0.03):
         ahead = random.normal(size=(5, 3))
         exact = math.erf(CAPTURE[1] / (math.sqrt(2.0) * sigma)) * -math.expm1(-(CAPTURE[0] ** 2) / (2.0 * sigma**2))
-        np.testing.assert_allclose(caught(ahead, sigma**2 * np.eye(3), CAPTURE), exact, atol=0.004)
+        np.testing.assert_allclose(capture_probabilities(ahead, sigma**2 * np.eye(3), CAPTURE), exact, atol=0.004)
     deep = np.diag([0.015**2, 0.0, 0.0])
     along, across = (math.erf(most / (math.sqrt(2.0) * 0.015)) for most in CAPTURE[::-1])
-    np.testing.assert_allclose(caught(np.eye(3), deep, CAPTURE), [along, across, across], atol=0.004)
+    np.testing.assert_allclose(capture_probabilities(np.eye(3), deep, CAPTURE), [along, across, across], atol=0.004)
 
 
 def test_approach_is_best_against_the_error(robot: Robot) -> None:

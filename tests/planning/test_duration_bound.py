@@ -271,8 +271,8 @@ def search_of(
     problem = problem_between(world, *ends, locked_joints=scene.locked_joints)
     limits = Limits(robot.velocity_limit, robot.acceleration_limit, jerk=robot.jerk_limit)
     motions, obstacles = _joint_motions(world, problem, limits), _obstacles(world)
-    grid = TimedGrid.of(motions.only(order), longest, samples)
-    search = GridSearch.of(obstacles, _excess(robot, obstacles), motions, np.array(order), grid)
+    grid = TimedGrid.build(motions.select(order), longest, samples)
+    search = GridSearch.build(obstacles, _excess(robot, obstacles), motions, np.array(order), grid)
     return search, motions
 
 

@@ -21,7 +21,7 @@ from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Obstacle, Sphere
 from hplan.scene.tracks import Track
-from hplan.trajectory.corner_rounding import largest_deviation
+from hplan.trajectory.corner_rounding import largest_path_deviation
 
 QUICK = PlanOptions(effort="quick")
 
@@ -103,7 +103,7 @@ def test_shape_of_path_is_preserved(arm: tuple[Robot, FloatArray]) -> None:
     points = zigzag(middle)
     found = finish(robot, scene_of(robot, far_ball(*arm)), points, QUICK, keep_within_rad=0.02)
     check(robot, found, points)
-    assert largest_deviation(found.trajectory.position, points) <= 0.02 + 1e-3
+    assert largest_path_deviation(found.trajectory.position, points) <= 0.02 + 1e-3
     assert found.report["given"]["length_finished_rad"] > 0.9 * found.report["given"]["length_rad"]
 
 

@@ -11,9 +11,9 @@ from planned import at, last_link, post
 
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError
-from hplan.kinematics.straight_line import StraightLine
+from hplan.kinematics.straight_line import ToolLine
 from hplan.planar.inverse_kinematics import reach
-from hplan.planning.grasps import SEARCHED, SPARE, Grasp, Target, grasps, promising
+from hplan.planning.grasps import SEARCHED, SPARE, Grasp, Target, grasps, select_promising
 from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Box, Sphere
@@ -28,8 +28,8 @@ def found(
 ) -> tuple[Grasp, ...]:  # fmt: skip
     """Grasps of the fruit, or of a point, among obstacles."""
     solids = [*obstacles, *([FRUIT] if fruit else [])]
-    world = World.of(robot, solids)
-    near = world.touching("fruit") if fruit else world
+    world = World.build(robot, solids)
+    near = world.allow_touch("fruit") if fruit else world
     target = Target("fruit 'fruit'", point, world, near, **{"least_standoff": 0.075 if fruit else 0.0, **more})
     return grasps(target, START, standoff=standoff, locked=locked)
 
@@ -46,7 +46,7 @@ def assert_grasps(robot: Robot, ways: tuple[Grasp, ...], world: World, near: Wor
             assert path is None
             np.testing.assert_array_equal(grasp.standoff, grasp.goal)
         else:
-            assert isinstance(path, StraightLine)
+            assert isinstance(path, ToolLine)
             away = robot.tool_positions(grasp.standoff) - point
             np.testing.assert_allclose(away, -grasp.distance * heading, atol=1e-6)
             np.testing.assert_allclose(path.evaluate(0.0), grasp.standoff, atol=1e-9)
@@ -72,11 +72,11 @@ def test_grasps_among_obstacles(robot: Robot, seed: int) -> None:
         for i in range(8)
     ]
     obstacles = [ball for ball in obstacles if math.dist(ball.center, point) > 0.12]
-    world = World.of(robot, [*obstacles, fruit], clearance=0.005)
-    near = world.touching("fruit")
+    world = World.build(robot, [*obstacles, fruit], clearance=0.005)
+    near = world.allow_touch("fruit")
     ways = grasps(Target("it", point, world, near, least_standoff=0.08), START, standoff=0.12)
-    without_clearance = World.of(robot, [*obstacles, fruit])
-    assert_grasps(robot, ways, without_clearance, without_clearance.touching("fruit"), point)
+    without_clearance = World.build(robot, [*obstacles, fruit])
+    assert_grasps(robot, ways, without_clearance, without_clearance.allow_touch("fruit"), point)
     assert {grasp.distance for grasp in ways} <= {0.12, 0.08, 0.0}
     # The distance is the maximum possible: one for all, or shorter ones if an obstacle blocks the longer.
     with_approach = [grasp for grasp in ways if grasp.distance > 0.0]
@@ -109,7 +109,7 @@ def test_standoff_is_shortened_if_long_one_collides(robot: Robot) -> None:
             lengths[gap] = -1.0
             continue
         lengths[gap] = max(way.distance for way in ways)
-        world = World.of(robot, [bead])
+        world = World.build(robot, [bead])
         assert_grasps(robot, ways, world, world, FRUIT.center)
     values = [lengths[gap] for gap in sorted(lengths, reverse=True)]
     assert values == sorted(values, reverse=True)
@@ -161,7 +161,7 @@ def test_blocked_error_names_obstacle(robot: Robot) -> None:
 @pytest.mark.parametrize("beside", [0, 3])
 def test_promising_are_the_first_straight_one_and_some_of_those_before(robot: Robot, behind: int, beside: int) -> None:
     """Some stand-offs behind a wall, then some on this side of it."""
-    world = World.of(robot, [Box(name="wall", center=(1.0, 0.58, 1.0), size=(1.6, 0.02, 2.4), rpy_deg=(0, 0, 30))])
+    world = World.build(robot, [Box(name="wall", center=(1.0, 0.58, 1.0), size=(1.6, 0.02, 2.4), rpy_deg=(0, 0, 30))])
 
     def grasp_at(yaw_deg: float) -> Grasp:
         q = np.radians([yaw_deg, 20.0, 20.0, 20.0])
@@ -171,7 +171,7 @@ def test_promising_are_the_first_straight_one_and_some_of_those_before(robot: Ro
     start = np.radians([-10.0, 20.0, 20.0, 20.0])
     straight = [world.field.is_clear(np.stack([start, grasp.standoff]), SPARE) for grasp in ways]
     assert straight == [False] * behind + [True] * beside
-    likely = promising(ways, Target("it", FRUIT.center, world, world), start)
+    likely = select_promising(ways, Target("it", FRUIT.center, world, world), start)
     assert 0 < len(likely) <= SEARCHED + 1 or not ways
     assert not ways or likely[0] is ways[0]
     assert not beside or likely[-1] is ways[behind]

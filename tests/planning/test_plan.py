@@ -92,11 +92,11 @@ def test_start_equal_to_goal(robot: Robot, scene: Scene) -> None:
 def joined(robot: Robot, scene: Scene, step_deg: float) -> bool:
     """True if start and goal are connected on the grid, by brute force with coal."""
     ndimage = pytest.importorskip("scipy.ndimage")
-    grid = Grid.over(robot.lower[1:], robot.upper[1:], math.radians(step_deg))
+    grid = Grid.from_limits(robot.lower[1:], robot.upper[1:], math.radians(step_deg))
     checker = CoalScene(robot, scene.solids)
     occupied = sampled_occupancy(checker, grid)
     labels, _ = ndimage.label(~occupied, structure=np.ones((3, 3, 3)))
-    start, goal = (labels[tuple(grid.nearest(target.joints()[1:]))] for target in (scene.start, scene.goal))
+    start, goal = (labels[tuple(grid.nearest_node(target.joints()[1:]))] for target in (scene.start, scene.goal))
     assert start != 0
     assert goal != 0
     return bool(start == goal)

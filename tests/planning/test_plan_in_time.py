@@ -146,7 +146,7 @@ def test_best_so_far_is_handed_out_at_the_deadline(robot: Robot, monkeypatch: py
 
 
 def test_each_motion_in_time_is_certified_and_quicker_than_the_one_before(robot: Robot) -> None:
-    problem = Problem.of(robot, hplan.load_scene("tour"), hplan.PlanOptions(deadline_s=ENOUGH_S))
+    problem = Problem.from_scene(robot, hplan.load_scene("tour"), hplan.PlanOptions(deadline_s=ENOUGH_S))
     found = list(solver()(problem))
     assert len(found) > 1
     assert all(motion.certificate.verified for plan in found for motion in plan.motions)

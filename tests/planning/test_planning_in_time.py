@@ -12,7 +12,7 @@ from fitted_arms import box, fitted
 from planned import assert_within_limits, task
 
 from hplan.errors import ConfigurationInCollisionError, MovingObstacleError, ObstacleInTimeError
-from hplan.planning.in_time import _later, among_poses, without_moving
+from hplan.planning.in_time import _retime_phase, among_poses, without_moving
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
@@ -30,7 +30,7 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene
 from hplan.scene.obstacles import Box, Sphere
 from hplan.scene.tracks import Track
-from hplan.trajectory.trajectory import Phase, scaled
+from hplan.trajectory.trajectory import Phase, scale_motion
 
 START, GOAL = (0.0, 0.0, 0.0, 0.0), (0.0, 45.0, 60.0, 70.0)
 PLANAR = {"locked_joints": ("base_yaw",)}
@@ -75,7 +75,7 @@ def test_arm_passes_before_approaching_obstacle(robot):
     comes = ball(robot, (0.0, (0.0, 2.0, 0.0)), (1.3, (0.0, 0.0, 0.0)))
     scene = task(START, GOAL, [comes], **PLANAR)
     result = plan(robot, scene)
-    around = plan(robot, scene.at(1.3))
+    around = plan(robot, scene.snapshot(1.3))
     assert_sound(robot, scene, result)
     assert result.trajectory.duration < around.trajectory.duration - 0.1
     assert result.certificate.clear_until_s == math.inf
@@ -164,7 +164,7 @@ def test_fruit_is_picked_while_something_passes(robot):
     assert_sound(robot, scene, result)
     assert [phase.name for phase in result.phases] == [phase.name for phase in first.phases]
     assert result.certificate.contact_s is not None
-    reached = result.picked["apple"]
+    reached = result.picked_fruit["apple"]
     np.testing.assert_allclose(
         robot.tool_positions(result.trajectory.positions(np.array([reached]))[0]),
         robot.tool_positions(result.grasp.goal),
@@ -195,7 +195,7 @@ def test_parts_that_only_tracking_errors_bring_together(tmp_path):
     scene = task(START, (0.0, 15.0, 50.0, 20.0), [item])
     motion = plan(robot, without_moving(scene), PlanOptions(effort="quick")).trajectory
     exact, off = (MovingField(robot, scene, sigmas=3.0, tracking_error=error) for error in (0.0, 0.1))
-    assert off.at(0.0).count > exact.at(0.0).count
+    assert off.field_at(0.0).count > exact.field_at(0.0).count
     assert PathInTime(motion, off, step_s=STEP_S, spare_s=0.0).clear(0)[0]
 
 
@@ -209,7 +209,7 @@ def test_cells_that_are_clear_are_clear_all_the_time(robot):
         clear = cells.clear(row)
         count += clear.sum()
         for time_s in row * STEP_S + np.linspace(-0.5 * STEP_S - spare_s, 0.5 * STEP_S + spare_s, 9):
-            assert (field.at(max(time_s, 0.0)).along(cells.configurations[clear]) > 0.0).all()
+            assert (field.field_at(max(time_s, 0.0)).clearance_along(cells.configurations[clear]) > 0.0).all()
     assert 0.3 < count / (12 * len(cells.configurations)) < 1.0
 
 
@@ -217,8 +217,8 @@ def test_uncertain_moving_obstacle_is_passed_with_more_clearance(robot):
     certain = ball(robot, (0.0, (0.0, -1.0, 0.0)), (1.0, (0.0, 1.0, 0.0)))
     away = [
         MovingField(robot, task(START, GOAL, [item]), sigmas=2.0, tracking_error=0.0)
-        .at(0.0)
-        .along(np.zeros((1, 4)), 9.0)
+        .field_at(0.0)
+        .clearance_along(np.zeros((1, 4)), 9.0)
         for item in (certain, certain.model_copy(update={"sigma": 0.01}))
     ]
     np.testing.assert_allclose(away[0] - away[1], 0.02, atol=1e-9)
@@ -310,14 +310,14 @@ def test_earliest_schedule_against_a_search_of_all(at_rest):
 def test_phases_by_another_clock_hold_all_that_they_held(robot):
     """From the last sample before the start to the first one after the end."""
     motion, random = plan(robot, task(START, GOAL, **PLANAR)).trajectory, np.random.default_rng(0)
-    retimed = scaled(motion, [(0.0, 0.4), (0.3, 1.0), (0.6, 0.5)], robot)
+    retimed = scale_motion(motion, [(0.0, 0.4), (0.3, 1.0), (0.6, 0.5)], robot)
     clock, time = retimed.clock, retimed.trajectory.time
     for ends in (
         *np.sort(random.uniform(0.0, motion.duration, (20, 2))),
         np.sort(random.choice(clock, 2)),
         clock[[0, -1]],
     ):
-        phase = _later(Phase("any", *ends.tolist()), retimed)
+        phase = _retime_phase(Phase("any", *ends.tolist()), retimed)
         first = max(row for row, when in enumerate(clock) if when <= ends[0] + 1e-9)
         last = min(row for row, when in enumerate(clock) if when >= ends[1] - 1e-9)
         assert phase.start_s == (time[first] if ends[0] > 0.0 else 0.0)

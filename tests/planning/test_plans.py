@@ -20,11 +20,11 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, CertificationError, NoPathError, NotFoundError, TimingError
 from hplan.planar.inverse_kinematics import reach
 from hplan.planning.failures import FailuresError
-from hplan.planning.grasps import COUNT, ROOMS, SPARE, Grasp, Target, grasps, promising
+from hplan.planning.grasps import COUNT, ROOMS, SPARE, Grasp, Target, grasps, select_promising
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
-from hplan.planning.problem import merged
-from hplan.planning.solver import best_motion, prove_infeasible
+from hplan.planning.problem import merge_problems
+from hplan.planning.solver import best_motion, prove_each_goal
 from hplan.planning.specialist import goal_sampler_of
 from hplan.planning.world import World
 from hplan.robot.model import Robot, load_robot
@@ -82,7 +82,7 @@ def grasps_of(robot: Robot, scene: Scene) -> tuple[tuple[Grasp, ...], list[Grasp
     fruit = next(fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit)
     target = Target.of_fruit(world, fruit, scene, COARSE)
     found = grasps(target, start, standoff=0.1, locked=scene.locked_joints)
-    return found, promising(found, target, start)
+    return found, select_promising(found, target, start)
 
 
 def test_all_grasps_are_tried(robot: Robot) -> None:
@@ -123,7 +123,7 @@ def test_blocked_error_reports_attempts_and_depth(robot: Robot) -> None:
     error = caught.value
     assert error.refined > 0
     assert f"so do {error.refined} at finer approach angles" in error.message
-    near = World.of_scene(robot, tight, COARSE).touching("apple")
+    near = World.of_scene(robot, tight, COARSE).allow_touch("apple")
     start = tight.start.configuration
     fine = reach(robot, tight.fruits[0].center, count=4000, start=start, locked=tight.locked_joints).configurations
     best = max(near.field.clearance(q) for q in fine)
@@ -172,10 +172,10 @@ def test_no_path_to_any_in_a_pocket(robot: Robot) -> None:
     bars = frame_about_upper_arm(60.0, 20.0)
     scenes = [task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, wrist, 20.0), bars) for wrist in (20.0, 30.0, 40.0, 50.0)]
     tasks = [posed(robot, scene, PlanOptions(step_deg=3.0)) for scene in scenes]
-    errors = prove_infeasible(merged(tasks))
+    errors = prove_each_goal(merge_problems(tasks))
     assert all(isinstance(error, NoPathError) for error in errors)
     with pytest.raises(NoPathError) as caught:
-        best_motion(merged(tasks))
+        best_motion(merge_problems(tasks))
     assert caught.value.goals == 4
     # The errors of the first fruit alone and among others agree; a fruit outside is reached in any case.
     with pytest.raises(NoPathError) as alone:
@@ -183,8 +183,8 @@ def test_no_path_to_any_in_a_pocket(robot: Robot) -> None:
     assert caught.value.reached_cells == alone.value.reached_cells > 0
     assert caught.value.blockers == alone.value.blockers != ()
     outside = posed(robot, task((0.0, 70.0, 20.0, 20.0), (20.0, 60.0, 30.0, 20.0), bars), PlanOptions(step_deg=3.0))
-    assert prove_infeasible(merged([*tasks, outside]))[4] is None
-    number, motion = best_motion(merged([*tasks, outside]))
+    assert prove_each_goal(merge_problems([*tasks, outside]))[4] is None
+    number, motion = best_motion(merge_problems([*tasks, outside]))
     assert number == 4
     assert motion.certificate.verified
 

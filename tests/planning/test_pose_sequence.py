@@ -111,7 +111,7 @@ def test_upright_motions_are_made_quicker(
 
 
 def test_where_a_path_cannot_be_certified_another_one_is_taken(arm: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    certified, refused = pose_sequence._certified, []
+    certified, refused = pose_sequence._certify_leg, []
 
     def refusing_one(task: Any, leg: Any) -> Any:
         if not refused:

@@ -35,7 +35,7 @@ def path_of(problem: Problem, evaluations: int, seed: int = 0) -> FloatArray | N
 @pytest.fixture
 def blocked(robot: Robot) -> tuple[Problem, World]:
     ball = Sphere(name="ball", center=(1.6, 0.0, 1.6), radius=0.25)
-    world = World.of(robot, [ball], clearance=0.005)
+    world = World.build(robot, [ball], clearance=0.005)
     assert not world.field.is_clear(np.stack([START, GOAL]), MARGIN)
     return problem_between(world, START, GOAL), world
 
@@ -63,7 +63,7 @@ def test_path_is_clear_everywhere(robot: Robot, blocked: tuple[Problem, World], 
 def test_nothing_is_found_through_a_plate(robot: Robot) -> None:
     """A plate in front of the shoulder, which the first link would have to pass: the trees end with their effort."""
     plate = Box(name="plate", center=(0.9, 0.0, 1.5), size=(2.0, 3.0, 0.02), rpy_deg=(0.0, -45.0, 0.0))
-    world = World.of(robot, [plate])
+    world = World.build(robot, [plate])
     start, goal = np.array([0.0, 1.5, 0.1, 0.1]), np.array([0.0, 0.0, 0.1, 0.1])
     problem = problem_between(world, start, goal, locked_joints=("base_yaw",))
     assert path_of(problem, 20_000) is None
@@ -90,7 +90,7 @@ def test_trees_grown_in_steps_equal_trees_grown_in_one_call(blocked: tuple[Probl
 
 
 def test_locked_joints_stay(robot: Robot, scene: Scene) -> None:
-    world = World.of(robot, scene.solids, clearance=scene.clearance)
+    world = World.build(robot, scene.solids, clearance=scene.clearance)
     ends = scene.start.configuration, scene.goal.configuration
     problem = problem_between(world, *ends, locked_joints=("base_yaw",))
     path = path_of(problem, 100_000)

@@ -14,7 +14,7 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.errors import CertificationError, NoPathError
 from hplan.planning.motion import Transit, certificate_of, require_certificate
 from hplan.planning.options import PlanOptions
-from hplan.planning.problem import merged
+from hplan.planning.problem import merge_problems
 from hplan.planning.solver import best_motion, reuse_motion
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
@@ -39,7 +39,7 @@ def test_nearer_goal_around_something_beats_a_far_straight_one(robot: Robot) -> 
     low = [post("low", 15.0, 1.7, 0.0, 1.65, 0.03)]
     near = task(START, NEAR, low)
     far = task(START, (-150.0, 30.0, 20.0, 20.0), low)
-    number, motion = best_motion(merged([posed(robot, near, OPTIONS), posed(robot, far, OPTIONS)]))
+    number, motion = best_motion(merge_problems([posed(robot, near, OPTIONS), posed(robot, far, OPTIONS)]))
     assert number == 0
     assert_motion(robot, near, motion)
     assert motion.trajectory.duration < best_motion(posed(robot, far, OPTIONS))[1].trajectory.duration
@@ -49,7 +49,7 @@ def test_locked_base_tries_the_goals_in_turn(robot: Robot) -> None:
     closed = task(BELOW, ABOVE, BAR, locked_joints=("base_yaw",))
     free = task(BELOW, (0.0, 12.0, 40.0, 30.0), BAR, locked_joints=("base_yaw",))
     tasks = [posed(robot, closed, OPTIONS), posed(robot, free, OPTIONS)]
-    number, motion = best_motion(merged(tasks))
+    number, motion = best_motion(merge_problems(tasks))
     assert number == 1
     assert_motion(robot, free, motion)
     with pytest.raises(NoPathError):

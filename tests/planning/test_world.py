@@ -19,7 +19,7 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.planar.grid.sections import sections_at
-from hplan.planar.grids import prepared
+from hplan.planar.grids import prepare_world
 from hplan.planning.problem import Problem
 from hplan.planning.world import BASE_DEPTH, World, without_inside
 from hplan.robot.family.members import write_robot
@@ -41,7 +41,7 @@ LINKS = slice(2, 5)
 def test_each_obstacle_grows_by_its_own_uncertainty(robot: Robot) -> None:
     rng = np.random.default_rng(0)
     for sigmas in (0.0, 1.0, 3.0):
-        world = World.of(robot, BALLS, clearance=0.02, sigmas=sigmas)
+        world = World.build(robot, BALLS, clearance=0.02, sigmas=sigmas)
         np.testing.assert_allclose(world.linked.growth - world.clearance, sigmas * np.array([0.0, 0.01, 0.02]))
         assert world.clearance == 0.02
         plain = CoalScene(robot, BALLS)
@@ -70,9 +70,9 @@ def test_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
     bendy = load_robot(write_robot(spec, tmp_path / "bendy.urdf")[0])
     rng = np.random.default_rng(3)
     far = Sphere(name="far", center=(0.0, 0.0, 9.0), radius=0.1, sigma=0.05)
-    plain, seen = ClearanceField.of(bendy, []), 0
+    plain, seen = ClearanceField.build(bendy, []), 0
     for solids in ([], [far]):
-        world = World.of(bendy, solids, clearance=0.03, tracking_error=0.001, sigmas=3.0)
+        world = World.build(bendy, solids, clearance=0.03, tracking_error=0.001, sigmas=3.0)
         # From the pedestal a link keeps its own displacement bound; two links keep the bound of the outer relative to
         # the inner.
         keep = world.clearance + 0.001 * float(bendy.arm.lengths[1:] @ [1, 2])
@@ -85,10 +85,10 @@ def test_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
             if before < 0.5:
                 seen += 1
                 assert after < before
-                low, high = (ClearanceField.of(bendy, [], own_clearance=own).clearance(q) for own in (most, least))
+                low, high = (ClearanceField.build(bendy, [], own_clearance=own).clearance(q) for own in (most, least))
                 assert low - 1e-12 <= after <= high + 1e-12
-        assert prepared(world, 0.002).own_clearance == 0.032
-        sections = sections_at(bendy, prepared(world, 0.002), 0.0)
+        assert prepare_world(world, 0.002).own_clearance == 0.032
+        sections = sections_at(bendy, prepare_world(world, 0.002), 0.0)
         np.testing.assert_allclose(sections.own_radii, 0.05 + 0.03 + keep + 0.002)
     assert seen > 20
 
@@ -98,10 +98,10 @@ def test_each_link_sways_by_its_own(robot: Robot) -> None:
     error, rng = 0.01, np.random.default_rng(4)
     arm = replace(robot.arm, half_widths=robot.arm.half_widths + robot.sway(error))
     thicker = robot.with_arm(arm)
-    world, plain = World.of(robot, BALLS, tracking_error=error), World.of(robot, BALLS)
-    same = World.of(thicker, BALLS)
+    world, plain = World.build(robot, BALLS, tracking_error=error), World.build(robot, BALLS)
+    same = World.build(thicker, BALLS)
     for yaw in (0.0, 0.1):
-        ours, theirs = (sections_at(one.robot, prepared(one), yaw) for one in (world, same))
+        ours, theirs = (sections_at(one.robot, prepare_world(one), yaw) for one in (world, same))
         np.testing.assert_allclose(ours.radii, theirs.radii, rtol=1e-12)
         np.testing.assert_array_equal(ours.link_start, theirs.link_start)
     for q in rng.uniform(robot.lower, robot.upper, (20, 4)):
@@ -118,8 +118,8 @@ def test_each_link_sways_by_its_own(robot: Robot) -> None:
 
 
 def test_bodies_of_the_sections_are_grown_by_clearance_and_uncertainty(robot: Robot) -> None:
-    world = World.of(robot, BALLS, clearance=0.01, tracking_error=0.002, sigmas=2.0)
-    bodies = prepared(world, 0.003)
+    world = World.build(robot, BALLS, clearance=0.01, tracking_error=0.002, sigmas=2.0)
+    bodies = prepare_world(world, 0.003)
     assert bodies.deviation == 0.002
     radii = np.array([0.1, 0.12, 0.14]) + world.clearance + 0.003
     np.testing.assert_allclose(bodies.balls.radii, radii)
@@ -131,10 +131,10 @@ def test_refusal_of_a_configuration_names_the_largest_error(robot: Robot) -> Non
     rng, kinds = np.random.default_rng(6), {"free": 0, "margin": 0, "contact": 0}
 
     def check(q: FloatArray, error: float) -> None:
-        World.of(robot, BALLS, clearance=0.01, tracking_error=error).check_clear(q, "start")
+        World.build(robot, BALLS, clearance=0.01, tracking_error=error).check_clear(q, "start")
 
     for q in rng.uniform(robot.lower, robot.upper, (40, 4)):
-        distances = World.of(robot, BALLS).checker.distances(q) - 0.01
+        distances = World.build(robot, BALLS).checker.distances(q) - 0.01
         if (distances > robot.sway(0.1)[:, None]).all():
             kinds["free"] += 1
             check(q, 0.1)
@@ -158,8 +158,8 @@ def test_refusal_of_a_configuration_names_the_largest_error(robot: Robot) -> Non
 
 def test_last_link_alone_may_touch(robot: Robot) -> None:
     solids = [*BALLS, Sphere(name="fruit", center=(1.2, 0.0, 0.6), radius=0.04, sigma=0.01)]
-    world = World.of(robot, solids, clearance=0.01, sigmas=3.0)
-    near, without = world.touching("fruit"), World.of(robot, BALLS, clearance=0.01, sigmas=3.0)
+    world = World.build(robot, solids, clearance=0.01, sigmas=3.0)
+    near, without = world.allow_touch("fruit"), World.build(robot, BALLS, clearance=0.01, sigmas=3.0)
     rng = np.random.default_rng(1)
     for q in rng.uniform([-0.3, 0.0, 0.0, 0.0], [0.3, 0.5, 0.5, 0.5], (60, 4)):
         full, table = world.checker.distances(q), near.checker.distances(q)
@@ -170,13 +170,13 @@ def test_last_link_alone_may_touch(robot: Robot) -> None:
         expected[-1] = without.field.link_clearances(q)[-1]
         np.testing.assert_allclose(near.field.link_clearances(q), expected, atol=1e-12)
     # The C-space knows the fruit for the other links.
-    some, every = (sections_at(robot, prepared(one), 0.0, within_reach=False) for one in (near, world))
+    some, every = (sections_at(robot, prepare_world(one), 0.0, within_reach=False) for one in (near, world))
     for link in range(3):
         mine, all_ = (list(one.obstacle_of[one.link_start[link] : one.link_start[link + 1]]) for one in (some, every))
         assert 3 in all_
         assert mine == [number for number in all_ if number != 3 or link < 2]
     # The original is unchanged.
-    assert prepared(world).links is None
+    assert prepare_world(world).links is None
     assert world.checker.distances(np.zeros(4))[-1, 3] < np.inf
 
 
@@ -185,10 +185,10 @@ def test_last_link_alone_may_touch(robot: Robot) -> None:
 
 def test_ground_may_touch_the_pedestal(robot: Robot) -> None:
     ground = Box(name="ground", center=(0.0, 0.0, -0.05), size=(6.0, 6.0, 0.1))
-    World.of(robot, [ground], clearance=0.05, sigmas=3.0).check_base()
+    World.build(robot, [ground], clearance=0.05, sigmas=3.0).check_base()
     deeper = Box(name="ground", center=(0.0, 0.0, -0.05 + 2.0 * BASE_DEPTH), size=(6.0, 6.0, 0.1))
     with pytest.raises(InputError, match="'ground' is 2 mm deep in the robot's 'base_link'"):
-        World.of(robot, [deeper]).check_base()
+        World.build(robot, [deeper]).check_base()
 
 
 @pytest.mark.parametrize(
@@ -197,12 +197,12 @@ def test_ground_may_touch_the_pedestal(robot: Robot) -> None:
         (Sphere(name="rock", center=(0.1, 0.0, 0.2), radius=0.1), "base_link"),
         (post("pole", 40.0, 0.05, 0.0, 3.0), "base_link"),
         (Box(name="lid", center=(0.0, 0.0, 0.5), size=(0.05, 0.05, 0.05)), "turret"),
-        (PointCloud.of("dust", [[0.0, 0.0, 0.48], [2.0, 0.0, 1.0]], 0.01), "turret"),
+        (PointCloud.from_points("dust", [[0.0, 0.0, 0.48], [2.0, 0.0, 1.0]], 0.01), "turret"),
     ],
     ids=["ball", "capsule", "box", "cloud"],
 )
 def test_obstacle_in_base_is_named(robot: Robot, obstacle, link: str) -> None:
-    world = World.of(robot, [*BALLS, *obstacle.solids])
+    world = World.build(robot, [*BALLS, *obstacle.solids])
     with pytest.raises(InputError) as caught:
         world.check_base()
     assert caught.value.data["obstacle"] == obstacle.name
@@ -216,7 +216,7 @@ def test_no_obstacle_is_missed(robot: Robot) -> None:
     rng, refused = np.random.default_rng(2), 0
     for _ in range(60):
         solids = random_obstacles(rng, 6)
-        world = World.of(robot, solids, clearance=0.1)
+        world = World.build(robot, solids, clearance=0.1)
         if base_contacts(robot, solids, margin=-BASE_DEPTH):
             refused += 1
             with pytest.raises(InputError, match="deep in the robot's"):
@@ -253,7 +253,7 @@ def test_obstacle_in_pedestal_is_left_out(robot: Robot) -> None:
 
 def pose(robot: Robot, scene: Scene, **changes: Any) -> Problem:
     changed = Scene.model_validate({**vars(scene), **changes})
-    world = World.of(robot, changed.solids, clearance=changed.clearance)
+    world = World.build(robot, changed.solids, clearance=changed.clearance)
     ends = changed.start.configuration, changed.goal.configuration
     return problem_between(world, *ends, locked_joints=changed.locked_joints)
 
@@ -275,7 +275,7 @@ def test_locked_joints_keep_their_start_value(robot: Robot, scene: Scene) -> Non
 def test_uncertainty_and_tracking_error_take_from_the_spare_clearance(robot: Robot, scene: Scene) -> None:
     ends = scene.start.configuration, scene.goal.configuration
     blurred = [solid.model_copy(update={"sigma": 0.01}) for solid in scene.solids]
-    world = World.of(robot, blurred, clearance=0.005, tracking_error=1e-2, sigmas=2.0)
+    world = World.build(robot, blurred, clearance=0.005, tracking_error=1e-2, sigmas=2.0)
     checker = CoalScene(robot, scene.solids)
     sways = robot.sway(1e-2)[:, None]  # each link its own
     tables = [from_obstacles(checker, robot.check_configuration(q, "")) for q in ends]

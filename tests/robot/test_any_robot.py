@@ -194,7 +194,7 @@ def unit(rng, size=3):
 
 
 def assert_as_pinocchio(model, rng, count=20):
-    dynamics, data = InverseDynamics.of(model), model.createData()
+    dynamics, data = InverseDynamics.build(model), model.createData()
     q = np.array([pin.randomConfiguration(model, -np.ones(model.nq), np.ones(model.nq)) for _ in range(count)])
     v, a = 3.0 * rng.normal(size=(2, count, model.nv))
     expected = [pin.rnea(model, data, *row) for row in zip(q, v, a, strict=True)]
@@ -225,11 +225,11 @@ def test_joints_without_one_fixed_axis_are_left_to_pinocchio():
     assert assert_as_pinocchio(model, np.random.default_rng(2)).bodies is None
     wheel = pin.Model()
     wheel.addJoint(0, pin.JointModelRUBZ(), pin.SE3.Identity(), "wheel")
-    assert InverseDynamics.of(wheel).bodies is None
+    assert InverseDynamics.build(wheel).bodies is None
 
 
 def test_no_rows_and_rows_with_gaps(robot):
-    dynamics = InverseDynamics.of(robot.model)
+    dynamics = InverseDynamics.build(robot.model)
     assert dynamics.torques(np.empty((0, 4)), np.empty((0, 4)), np.empty((0, 4))).shape == (0, 4)
     q, v, a = np.random.default_rng(3).normal(size=(3, 10, 4))
     np.testing.assert_array_equal(dynamics.torques(q[::2], v[::2], a[::2]), dynamics.torques(q, v, a)[::2])
@@ -239,7 +239,7 @@ def test_no_rows_and_rows_with_gaps(robot):
 
 def test_robot_cannot_be_changed(robot):
     with pytest.raises(ValueError, match="read-only"):
-        InverseDynamics.of(robot.model).bodies[0, 0, 0] = 1.0
+        InverseDynamics.build(robot.model).bodies[0, 0, 0] = 1.0
 
 
 LIMIT = st.floats(0.05, 50.0)

@@ -217,7 +217,7 @@ def test_certificate_report_and_page_name_uncovered_shapes():
     scene = Scene(name="s", start=Start(joints_rad=HERE), goal=Goal(joints_rad=THERE), obstacles=(ball,))
     result = hplan.plan(robot, scene)
     again = hplan.certify(robot, scene, result.trajectory)
-    for certificate in (result.certificate, again, again.reversed):
+    for certificate in (result.certificate, again, again.reversal):
         assert certificate.uncovered_links == ("l3",)
     report = certificate_report(again, hplan.PlanOptions(), scene)
     assert report["uncovered_links"] == ["l3"]

@@ -178,7 +178,7 @@ def test_cspace_against_coal(tmp_path):
         step = math.radians({2: 6.0, 3: 15.0, 4: 16.0}[robot.arm.link_count])
         grid = joint_grid(robot.arm, step)
         ours = {
-            clearance: occupancy(robot.arm, arm_sections(robot, [], clearance=clearance), grid).occupied.ravel()
+            clearance: occupancy(robot.arm, arm_sections(robot, [], clearance=clearance), grid).occupied_mask.ravel()
             for clearance in (0.0, 0.02)
         }
         truth, yaw, known = Truth(robot), rng.uniform(-3.0, 3.0), named_pairs(robot)
@@ -206,12 +206,12 @@ def test_four_links_in_the_cspace_are_exact(tmp_path, lengths):
         tmp_path, [0.0] + [-150.0] * 3, [10.0] + [150.0] * 3, lengths=lengths, widths=(0.05, 0.05, 0.05, 0.05)
     )
     arm = robot.arm
-    grid = Grid.over(arm.lower, arm.upper, np.radians([10.0, 6.0, 6.0, 6.0]))
+    grid = Grid.from_limits(arm.lower, arm.upper, np.radians([10.0, 6.0, 6.0, 6.0]))
     sections = arm_sections(robot, [])
     pairs = {(int(link), int(other)) for link, other, _ in sections.own_pairs}
     assert pairs == {(2, 0), (3, 0), (3, 1)}
     empty = replace(sections, own_pairs=sections.own_pairs[:0], own_radii=sections.own_radii[:0])
-    alone = occupancy(arm, empty, grid).occupied  # the base
+    alone = occupancy(arm, empty, grid).occupied_mask  # the base
     points = arm.joint_points(nodes_of(grid))
     for number, (link, other) in enumerate(sections.own_pairs[:, :2].tolist()):
         one = replace(
@@ -219,7 +219,7 @@ def test_four_links_in_the_cspace_are_exact(tmp_path, lengths):
             own_pairs=sections.own_pairs[number : number + 1],
             own_radii=sections.own_radii[number : number + 1],
         )
-        ours = occupancy(arm, one, grid).occupied & ~alone
+        ours = occupancy(arm, one, grid).occupied_mask & ~alone
         distances = segment_distances(points[:, link], points[:, link + 1], points[:, other], points[:, other + 1])
         apart = (distances - sections.own_radii[number]).reshape(grid.shape)
         sure = (np.abs(apart) > TOUCH) & ~alone
@@ -245,7 +245,7 @@ def test_distances_from_bodies_that_carry_the_arm(tmp_path):
     rng = np.random.default_rng(12)
     near = 0
     for robot in random_arms(rng, tmp_path, 12):
-        field, truth = ClearanceField.of(robot, [], own_clearance=0.01), Truth(robot)
+        field, truth = ClearanceField.build(robot, [], own_clearance=0.01), Truth(robot)
         for q in rng.uniform(robot.lower, robot.upper, (100, robot.dof)):
             lower, found = own_clearances(robot, field, truth, q, field.link_clearances(q, 100.0))
             # Nothing nearer than coal says is missed, and little is made up.
@@ -259,7 +259,7 @@ def test_distances_from_bodies_that_carry_the_arm(tmp_path):
 
 def test_certified_clearances_are_clear(wide):
     rng = np.random.default_rng(13)
-    field, truth = ClearanceField.of(wide, []), Truth(wide)
+    field, truth = ClearanceField.build(wide, []), Truth(wide)
     shown = refused = 0
     for start in rng.uniform(wide.lower, wide.upper, (150, 4)):
         end = np.clip(start + rng.uniform(-1.2, 1.2, 4), wide.lower, wide.upper)
@@ -300,7 +300,7 @@ def test_judge_against_coal(tmp_path):
                     assert found == pytest.approx(true, abs=1e-5 if true > 0.0 else 1e-3)
                     contacts += int(found < 0.0)
             assert touching == (table.min() <= 0.0) or abs(table.min()) < 1e-5
-            nearest = checker.nearest(q)
+            nearest = checker.nearest_contact(q)
             assert nearest.distance_m == pytest.approx(table.min(), abs=1e-5 if table.min() > 0.0 else 1e-3)
     assert contacts > 20
 
@@ -336,7 +336,7 @@ def test_bounds_contain_motion_of_points(tmp_path, has_yaw, offsets):
         start, turn = rng.uniform(-1.0, 1.0, (2, robot.dof))
         bezier = start + np.linspace(0.0, 1.0, 4)[None, :, None] * turn
         _, moved, sways = motion_of_movers(checker, bezier, np.abs(turn)[None])
-        for number, (first, second), matters in zip(parts.alike, both.tolist(), counts, strict=True):
+        for number, (first, second), matters in zip(parts.motion_groups, both.tolist(), counts, strict=True):
             # A joint about whose axis one of the two is round does not change their distance.
             end = start + turn * matters
             went = np.linalg.norm(ends(end, first, second) - ends(start, first, second), axis=1).max()

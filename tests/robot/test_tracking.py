@@ -71,7 +71,7 @@ def test_deviations_grow_with_speed() -> None:
     assert TrackingModel().is_exact
     assert not TrackingModel(delay_s=1e-3).is_exact
     assert not TrackingModel(1e-3).is_exact
-    assert model.scaled(0.5) == TrackingModel(0.005, 0.0015)
+    assert model.scale(0.5) == TrackingModel(0.005, 0.0015)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -56,7 +56,7 @@ def test_formats(kind, tmp_path):
 
 def test_placement():
     pose = {"position": (1.0, 2.0, 3.0), "rpy_deg": (10.0, 20.0, 30.0)}
-    rest = Mesh.of("m", 1000.0 * BLOCK.core, FACES, scale=1e-3, sigma=0.02, **pose)
+    rest = Mesh.from_arrays("m", 1000.0 * BLOCK.core, FACES, scale=1e-3, sigma=0.02, **pose)
     (hull,) = rest.solids
     turn = Box(name="b", center=(0, 0, 0), size=(1, 1, 1), rpy_deg=pose["rpy_deg"]).rotation
     expected = BLOCK.core @ turn.T + pose["position"]
@@ -100,7 +100,7 @@ def faulty():
 def test_faulty_arrays(name):
     vertices, faces, message = faulty()[name]
     with pytest.raises(SceneError, match=message) as caught:
-        Mesh.of("ring", vertices, faces)
+        Mesh.from_arrays("ring", vertices, faces)
     assert caught.value.where == "ring" or "m across" in caught.value.reason
 
 
@@ -118,7 +118,7 @@ def test_faulty_arrays(name):
     ],
 )  # fmt: skip
 def test_faulty_entries(entry, content, where, message, tmp_path):
-    write_shape(Surface.of(*torus(n=8)), tmp_path / "ring.ply")
+    write_shape(Surface.from_arrays(*torus(n=8)), tmp_path / "ring.ply")
     if content is not None:
         (tmp_path / entry.split()[1]).write_bytes(content)
     inner = entry.strip("{}")
@@ -131,7 +131,7 @@ def test_faulty_entries(entry, content, where, message, tmp_path):
 
 def test_saved_and_read_again(tmp_path):
     (tmp_path / "deep").mkdir()
-    write_shape(Surface.of(*crate()), tmp_path / "crate.ply")
+    write_shape(Surface.from_arrays(*crate()), tmp_path / "crate.ply")
     scene = parse_scene(
         HEAD + "- {name: crate, kind: mesh, file: crate.ply, position: [1, 0, 0], sigma: 0.01}\n",
         path=tmp_path / "scene.yaml",
@@ -146,7 +146,7 @@ def test_saved_and_read_again(tmp_path):
 
 
 def test_arrays_are_written_next_to_the_scene(tmp_path):
-    scene = a_scene(Mesh.of("a/b", *torus(n=8)), Mesh.of("a-b", *crate()))
+    scene = a_scene(Mesh.from_arrays("a/b", *torus(n=8)), Mesh.from_arrays("a-b", *crate()))
     with pytest.raises(SceneError, match="has no file; save_scene writes one") as caught:
         dump_scene(scene)
     assert caught.value.where == "obstacles[0].file"
@@ -190,7 +190,7 @@ def test_sheets_among_solids_are_held(seed):
         shift[on] = rng.choice([shift[on], vertices[0, on] - more[0, on]])
         faces = np.concatenate([faces, its_faces + len(vertices)])
         vertices = np.concatenate([vertices, more + shift])
-    mesh = Mesh.of("tree", vertices, faces)
+    mesh = Mesh.from_arrays("tree", vertices, faces)
     points, triangles = mesh.surface
     covered = np.vstack([points, surface_points(points, triangles, 200)])
     assert uncovered(mesh.solids, covered) <= 1e-6
@@ -212,7 +212,7 @@ def test_motion_through_a_sheet_is_not_certified(robot, thickness):
         faces = np.concatenate([faces, faces[:, ::-1]])
     panel = panel * [thickness, 1.0, 1.0] + [1.2, -0.3, 1.3]
     vertices = np.concatenate([trunk + np.array([2.6, 0.0, 0.0]), panel])
-    tree = Mesh.of("tree", vertices, np.concatenate([its_faces, faces + len(trunk)]))
+    tree = Mesh.from_arrays("tree", vertices, np.concatenate([its_faces, faces + len(trunk)]))
     assert len(tree.solids) == 2
     assert 0.0 < tree.excess < 0.1
     motion = plan(robot, MOTION, PlanOptions(certify=False)).trajectory

@@ -83,7 +83,7 @@ def test_scene_from_another_stop_has_everything_where_it_is_seen_from_there():
     goal = Goal(position=(1.1, 0.0, 1.0), quaternion_xyzw=(0.0, 0.6, 0.0, 0.8))
     scene = Scene(name="s", start=Start(joints_rad=(0.0,)), goal=goal, obstacles=(box, rod), fruits=(fruit,))
     turn, by = rpy_rotation(0.0, 0.0, np.radians(70.0)), np.array([0.3, -0.5, 0.1])
-    seen = scene.shifted(by, 70.0)
+    seen = scene.shift(by, 70.0)
     for item, other in zip(scene.obstacles, seen.obstacles, strict=True):
         np.testing.assert_allclose(other.core, item.core @ turn.T + by, atol=1e-12)
         assert (other.name, other.yields) == (item.name, item.yields)
@@ -92,10 +92,10 @@ def test_scene_from_another_stop_has_everything_where_it_is_seen_from_there():
     np.testing.assert_allclose(seen.goal.position, turn @ goal.position + by, atol=1e-12)
     moving = scene.model_copy(update={"base_track": Track(times_s=(0.0, 1.0), shifts_m=((0, 0, 0), (1, 0, 0)))})
     with pytest.raises(MovingObstacleError):
-        moving.shifted(by)
+        moving.shift(by)
     for wrong in ((1.0, 2.0), "123", None, (1.0, 2.0, np.nan)):
         with pytest.raises(InputError):
-            scene.shifted(wrong)
+            scene.shift(wrong)
 
 
 def test_unreachable_obstacles_are_left_out_except_goal_and_moving_ones():
@@ -110,12 +110,12 @@ def test_unreachable_obstacles_are_left_out_except_goal_and_moving_ones():
         obstacles=tuple(rods),
         fruits=tuple(fruits),
     )
-    near = scene.cropped(2.0)
+    near = scene.crop(2.0)
     assert [item.name for item in (*near.obstacles, *near.fruits)] == ["rod 1", "fruit 1.0", "fruit 6.0"]
-    assert [item.name for item in scene.cropped(0.6, (4.5, 0.0, 0.5)).obstacles] == ["rod 4"]
-    assert scene.cropped(10.0) == scene
+    assert [item.name for item in scene.crop(0.6, (4.5, 0.0, 0.5)).obstacles] == ["rod 4"]
+    assert scene.crop(10.0) == scene
     with pytest.raises(OptionError):
-        scene.cropped(-1.0)
+        scene.crop(-1.0)
 
 
 def test_covariances() -> None:
@@ -133,7 +133,7 @@ def test_covariances() -> None:
         scene.model_copy(update={"fruits": (fruit.model_copy(update={"covariance": None}),)}),
     ]
     assert len({scene_digest(each) for each in (scene, *plain)}) == 4
-    turned = scene.shifted((0.0, 0.0, 0.0), yaw_deg=90.0)
+    turned = scene.shift((0.0, 0.0, 0.0), yaw_deg=90.0)
     for covariance in (turned.errors["ball"], turned.errors["apple"], turned.shared_error):
         np.testing.assert_allclose(covariance, [[1e-4, -1e-4, 0.0], [-1e-4, 4e-4, 0.0], [0.0, 0.0, 9e-4]], atol=1e-12)
     for wrong in (np.array(rows) + np.eye(3, k=1), -np.array(rows), np.eye(2)):

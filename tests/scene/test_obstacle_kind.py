@@ -58,8 +58,8 @@ def wedges():
 def test_kernels_and_coal_see_the_same_hull(robot):
     rng = np.random.default_rng(3)
     for wedge in wedges():
-        same = Mesh.of("same", *wedge.hull.surface)
-        field, coal = ClearanceField.of(robot, wedge.solids), CoalScene(robot, wedge.solids)
+        same = Mesh.from_arrays("same", *wedge.hull.surface)
+        field, coal = ClearanceField.build(robot, wedge.solids), CoalScene(robot, wedge.solids)
         mesh = CoalScene(robot, same.solids)
         for q in rng.uniform(robot.lower, robot.upper, (30, robot.dof)):
             true = coal.distances(q)[:, 0]
@@ -168,7 +168,7 @@ def test_hulls_hold_their_points(seed, count, flatness):
     hull = hull_of(points, most=20)
     assert uncovered((hull,), points) <= 1e-6
     rotation, shift = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]]), np.array([1.0, 2.0, 3.0])
-    turned = hull.placed(rotation, shift, name="other", sigma=0.1)
+    turned = hull.transform(rotation, shift, name="other", sigma=0.1)
     assert (turned.name, turned.sigma, turned.rounding) == ("other", 0.1, hull.rounding)
     np.testing.assert_allclose(turned.core[:, 0], 1.0 - hull.core[:, 1])
     assert (turned.core @ turned.planes[:, :3].T <= turned.planes[:, 3] + 1e-9).all()
@@ -179,7 +179,7 @@ def test_hulls_hold_their_points(seed, count, flatness):
 @given(st.integers(0, 10_000), st.integers(1, 400), st.sampled_from([1e-3, 0.02, 1.0]))
 def test_balls_after_merging_hold_those_before(seed, count, size):
     points = np.random.default_rng(seed).uniform(0.0, size, (count, 3))
-    cloud = Cloud.of("cloud", points, 0.01, 0.5)
+    cloud = Cloud.from_points("cloud", points, 0.01, 0.5)
     growth = cloud.rounding - 0.01
     assert 0.0 <= growth <= MERGE_ERROR + 1e-12
     gaps = np.linalg.norm(points[:, None] - cloud.core, axis=2).min(axis=1)
@@ -311,7 +311,7 @@ def test_other_formats_and_missing_files(tmp_path):
 def test_large_cloud_is_fast(tmp_path):
     """A hundred thousand points in a file: none in the scene's text, one tree."""
     points = np.random.default_rng(0).uniform(0, 1, (100_000, 3))
-    cloud = PointCloud.of("canopy", points, 0.01)
+    cloud = PointCloud.from_points("canopy", points, 0.01)
     assert cloud.solids[0] is cloud.solids[0]
     scene = parse_scene(HEAD.replace("obstacles:", "obstacles: []")).with_obstacles([cloud])
     again = load_scene(save_scene(scene, tmp_path / "scene.yaml"))
@@ -333,8 +333,8 @@ def test_rows_of_a_file_that_are_not_finite_are_left_out_and_counted(encoding, t
 
 def test_thinned_points_stay_unchanged():
     close = np.random.default_rng(0).uniform(0.0, 1e-3, (50, 3))
-    cloud = PointCloud.thinned("c", close, 0.01)
+    cloud = PointCloud.from_thinned("c", close, 0.01)
     (solid,) = cloud.solids
     assert solid.rounding == 0.01
     assert sorted(map(tuple, solid.core)) == sorted(map(tuple, close))
-    assert len(PointCloud.of("c", close, 0.01).solids[0].core) < 50
+    assert len(PointCloud.from_points("c", close, 0.01).solids[0].core) < 50

@@ -353,8 +353,8 @@ def cube() -> tuple[np.ndarray, np.ndarray]:
 
 def test_files_of_a_scene_have_a_largest_size_together(tmp_path, monkeypatch):
     start, goal = Start(joints_deg=(0.0,) * 4), Goal(joints_deg=(0.0,) * 4)
-    meshes = tuple(Mesh.of(f"m{i}", *cube(), position=(2.0 * i, 5.0, 0.0)) for i in range(2))
-    cloud = PointCloud.of("cloud", [[9.0, 9.0, 9.0]], 0.1)
+    meshes = tuple(Mesh.from_arrays(f"m{i}", *cube(), position=(2.0 * i, 5.0, 0.0)) for i in range(2))
+    cloud = PointCloud.from_points("cloud", [[9.0, 9.0, 9.0]], 0.1)
     path = save_scene(Scene(name="a", start=start, goal=goal, obstacles=(*meshes, cloud)), tmp_path / "scene.yaml")
     sizes = [file.stat().st_size for file in sorted(tmp_path.glob("*.ply"))]
     monkeypatch.setattr(scene_file, "MOST_SHAPE_BYTES", sum(sizes))
@@ -368,17 +368,17 @@ def test_files_of_a_scene_have_a_largest_size_together(tmp_path, monkeypatch):
 @pytest.mark.filterwarnings("error")
 def test_shapes_do_not_reach_farther_than_a_scene():
     vertices, faces = cube()
-    millimetres = Mesh.of("m", 1e6 * vertices, faces, scale=1e-3)
+    millimetres = Mesh.from_arrays("m", 1e6 * vertices, faces, scale=1e-3)
     assert millimetres.surface[0].max() == pytest.approx(1e3)
     for shift, scale in ((2e7, 1e-3), (1e306, 1e-303), (1.0, 1e308)):
         with pytest.raises(SceneError, match=r"coordinates|across"):
-            Mesh.of("m", vertices + shift, faces, scale=scale)
+            Mesh.from_arrays("m", vertices + shift, faces, scale=scale)
     with pytest.raises(SceneError, match=r"points have coordinates of 1.1e\+04; expected metres, at most 10000"):
-        PointCloud.of("c", [[0.0, 0.0, 1.1e4]], 0.1)
+        PointCloud.from_points("c", [[0.0, 0.0, 1.1e4]], 0.1)
     with pytest.raises(SceneError, match="less than or equal to 10000"):
-        PointCloud.of("c", [[0.0, 0.0, 0.0]], 1e308)
+        PointCloud.from_points("c", [[0.0, 0.0, 0.0]], 1e308)
     with pytest.raises(SceneError, match="less than or equal to 10000"):
-        Mesh.of("m", vertices, faces, position=(0.0, 1e200, 0.0))
+        Mesh.from_arrays("m", vertices, faces, position=(0.0, 1e200, 0.0))
 
 
 @pytest.mark.filterwarnings("error")

@@ -20,7 +20,7 @@ from hplan.geometry.hull import THIN
 from hplan.geometry.rotation import rpy_of
 from hplan.scene.file import dump_scene, load_scene, parse_scene, save_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
-from hplan.scene.obstacle_kind import SWEPT_ERROR, posed
+from hplan.scene.obstacle_kind import SWEPT_ERROR, transform_solid
 from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Solid, Sphere
 from hplan.scene.tracks import Sway, Track
 
@@ -48,8 +48,10 @@ def all_kinds(track: Track | None = TURNING, sway: Sway | None = SWAY) -> Scene:
         Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1, **how),
         Capsule(name="rod", start=(1.0, 0.0, 1.0), end=(1.2, 0.1, 1.4), radius=0.1, **how),
         Box(name="box", center=(1.0, 0.0, 1.0), size=(0.1, 0.2, 0.3), rpy_deg=(10.0, 20.0, 30.0), **how),
-        Mesh.of("crate", *crate(), position=(1.0, 0.0, 0.5), rpy_deg=(0.0, 30.0, 0.0), **how),
-        PointCloud.of("leaves", np.random.default_rng(1).uniform(-0.2, 0.2, (40, 3)), 0.02, position=(1, 0, 1), **how),
+        Mesh.from_arrays("crate", *crate(), position=(1.0, 0.0, 0.5), rpy_deg=(0.0, 30.0, 0.0), **how),
+        PointCloud.from_points(
+            "leaves", np.random.default_rng(1).uniform(-0.2, 0.2, (40, 3)), 0.02, position=(1, 0, 1), **how
+        ),
         fruits=(Fruit(name="apple", center=(1.0, 0.3, 1.2), radius=0.04, **how),),
         base_track=None if track is None else CREEP,
     )
@@ -92,8 +94,8 @@ def test_moving_scene_is_never_taken_for_a_still_one():
         with pytest.raises(MovingObstacleError) as caught:
             _ = scene.solids
         assert caught.value.obstacle == (None if scene.base_track else "ball")
-        assert not scene.at(1.0).moves
-        assert len(scene.at(1.0).solids) == len(scene.listed_solids) == len(scene.movements)
+        assert not scene.snapshot(1.0).moves
+        assert len(scene.snapshot(1.0).solids) == len(scene.listed_solids) == len(scene.movements)
 
 
 @pytest.mark.parametrize(
@@ -164,9 +166,9 @@ def test_scene_at_a_time_has_its_solids_where_they_are_then():
     points = rng.uniform([0.4, -0.8, 0.3], [1.6, 0.8, 1.8], (60, 3))
     for time in (0.0, 1.7, 5.0):
         poses = scene.poses_at([time])
-        for listed, then in zip(scene.listed_solids, scene.at(time).solids_with_goal, strict=True):
+        for listed, then in zip(scene.listed_solids, scene.snapshot(time).solids_with_goal, strict=True):
             rotation, shift = (part[0] for part in poses[listed.name])
-            there = posed(listed, rotation, shift)
+            there = transform_solid(listed, rotation, shift)
             # A solid elsewhere seen from a point is the solid seen from that point taken back.
             back = (points - shift) @ rotation
             np.testing.assert_allclose(apart(there, points), apart(listed, back), atol=ITERATION)
@@ -222,7 +224,7 @@ def test_no_point_is_faster_than_the_bound(own, base):
     (movement,) = scene.movements
     rates = movement.rates(box.core, box.rounding)
     clock = np.linspace(-0.1, movement.breaks[-1] + 0.1, 200)
-    rotations, places = movement.at(clock)
+    rotations, places = movement.displacement_at(clock)
     points = box.core @ np.swapaxes(rotations, 1, 2) + places[:, None]
     moved = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)
     travel = np.interp(clock, movement.breaks, np.concatenate([[0.0], np.cumsum(rates * np.diff(movement.breaks))]))
@@ -234,14 +236,14 @@ def test_no_point_is_faster_than_the_bound(own, base):
 def test_a_scene_by_another_clock_is_where_it_was(zero, clock):
     """Before, within and after the tracks, of either sign."""
     scene = all_kinds()
-    later = scene.since(zero)
+    later = scene.starting_at(zero)
     before, after = scene.poses_at(np.array(clock)), later.poses_at(np.array(clock) - zero)
     assert before.keys() == after.keys()
     for name, poses in before.items():
         for one, other in zip(poses, after[name], strict=True):
             np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
     assert later.at_rest_s == pytest.approx(scene.at_rest_s - zero, abs=1e-12)
-    back = later.since(-zero)
+    back = later.starting_at(-zero)
     for one, other in zip(back.obstacles, scene.obstacles, strict=True):
         np.testing.assert_allclose(one.track.times_s, other.track.times_s, rtol=0, atol=1e-12)
         assert one.track.shifts_m == other.track.shifts_m
@@ -250,6 +252,6 @@ def test_a_scene_by_another_clock_is_where_it_was(zero, clock):
 
 def test_times_equal_after_rounding_are_refused():
     close = Track(times_s=(0.0, 1e-12), shifts_m=((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
-    assert close.since(1e-4).times_s[0] == -1e-4
+    assert close.starting_at(1e-4).times_s[0] == -1e-4
     with pytest.raises(OptionError, match="distinct floating-point numbers"):
-        a_scene(Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1, track=close)).since(1e5)
+        a_scene(Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1, track=close)).starting_at(1e5)

@@ -60,7 +60,7 @@ def test_nothing_in_contact_is_free(robot: Robot, kind: str) -> None:
         rng = np.random.default_rng(number)
         checker = CoalWithShapes(robot, scene)
         bodies = prepare_obstacles(scene.solids, clearance=scene.clearance)
-        field = ClearanceField.of(robot, scene.solids, clearance=scene.clearance)
+        field = ClearanceField.build(robot, scene.solids, clearance=scene.clearance)
         count = 60 if kind == "points" else 300
         ends = rng.uniform(robot.lower, robot.upper, (2, count, robot.dof))
         ends[:, :, 0] = rng.uniform(*sector, count)

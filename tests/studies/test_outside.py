@@ -26,8 +26,8 @@ def scene_with(robot: Robot, kind: str, off_m: float) -> Scene:
         "box": lambda: Box(name="it", center=where, size=(0.1, 0.1, 0.1), rpy_deg=(10.0, 20.0, 30.0)),
         "cylinder": lambda: Cylinder(name="it", center=where, radius=0.05, length=0.1),
         "capsule": lambda: Capsule(name="it", start=where, end=tuple((at + 0.03).tolist()), radius=0.05),
-        "cloud": lambda: PointCloud.of("it", 0.01 * np.eye(3), radius=0.02, position=where),
-        "mesh": lambda: Mesh.of("it", *BLOCK, position=where, rpy_deg=(10.0, 20.0, 30.0)),
+        "cloud": lambda: PointCloud.from_points("it", 0.01 * np.eye(3), radius=0.02, position=where),
+        "mesh": lambda: Mesh.from_arrays("it", *BLOCK, position=where, rpy_deg=(10.0, 20.0, 30.0)),
         "track": lambda: Sphere(
             name="it", center=listed, radius=0.05, track=Track(times_s=(0.0, 0.5, 1.0), shifts_m=shifts)
         ),

@@ -24,7 +24,7 @@ def scenes(tmp_path: Path) -> list[Path]:
     save_scene(scene, free)
     tool = load_robot().forward_kinematics(scene.start.configuration)[:3, 3]
     ball = Sphere(name="ball", center=tuple(tool.tolist()), radius=0.05)
-    save_scene(scene.with_(obstacles=(*scene.obstacles, ball)), blocked)
+    save_scene(scene.with_values(obstacles=(*scene.obstacles, ball)), blocked)
     malformed.write_text("name: [")
     return [free, blocked, malformed]
 
@@ -58,9 +58,9 @@ def test_batch_resumes_from_its_table(scenes: list[Path], tmp_path: Path) -> Non
 def test_batch_plans_again_after_a_change_of_scene_or_options(scenes: list[Path], tmp_path: Path) -> None:
     table, free = tmp_path / "batch.csv", scenes[0]
     (first,) = run_batch([free], QUICK, rows=table, workers=1)
-    save_scene(load_scene(free).with_(clearance=0.004), free)
+    save_scene(load_scene(free).with_values(clearance=0.004), free)
     (second,) = run_batch([free], QUICK, rows=table, workers=1)
-    (third,) = run_batch([free], QUICK.with_(speed=0.5), rows=table, workers=1)
+    (third,) = run_batch([free], QUICK.with_values(speed=0.5), rows=table, workers=1)
     assert len({first.digest, second.digest, third.digest}) == 3
     assert third.duration_s > second.duration_s
 

@@ -20,7 +20,7 @@ from hplan.robot.model import Robot
 from hplan.scene.file import save_scene
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Capsule
-from hplan.tour.motions import CARRIED, carrying
+from hplan.tour.motions import CARRIED, with_carried_fruit
 from hplan.tour.tour import TourOptions, TourResult, plan_tour
 
 QUICK = PlanOptions(effort="quick")
@@ -75,7 +75,7 @@ def test_fruit_is_carried_to_a_pose_to_joints_or_to_a_place(picker: Robot, drop:
 
 
 def test_carried_fruit_is_a_ball_at_the_tool_that_keeps_clear(picker: Robot) -> None:
-    loaded = carrying(picker, 0.05)
+    loaded = with_carried_fruit(picker, 0.05)
     ball = collision_bodies(loaded)[-1]
     assert loaded.collision_model.geometryObjects[-1].name == CARRIED
     assert (ball.kind, ball.rounding, ball.joint) == ("sphere", 0.05, picker.dof - 1)

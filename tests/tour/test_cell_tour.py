@@ -14,7 +14,7 @@ from hplan import load_robot
 from hplan.apps.cli.main import main
 from hplan.apps.ros import write_mcap
 from hplan.apps.view.playback import playable
-from hplan.apps.view.scene_stage import stage
+from hplan.apps.view.scene_stage import build_stage
 from hplan.apps.view.scenery import picks
 from hplan.certificate.certificate import certify
 from hplan.errors import ConfigurationInCollisionError, TourError
@@ -41,7 +41,7 @@ def orchard() -> tuple[Cell, CellScene]:
         CellRobot(name="right", position=(0.0, -0.4, 0.0), start=scene.start),
     )
     everything = CellScene(name="two", obstacles=scene.obstacles, fruits=scene.fruits[:9], robots=arms)
-    return Cell.of(everything, {"left": robot, "right": robot}), everything
+    return Cell.from_robots(everything, {"left": robot, "right": robot}), everything
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +61,7 @@ def test_picked_fruit_goes_with_the_tool_of_its_arm_on_the_page_and_in_messages(
     found = picks(scene, playback)
     assert {pick.fruit.name for pick in found} == set(result.picked)
     assert {pick.tool for pick in found} == {"left_tool0", "right_tool0"}
-    (animation,) = [command for command in stage(robot, scene, playback) if command["type"] == "set_animation"]
+    (animation,) = [command for command in build_stage(robot, scene, playback) if command["type"] == "set_animation"]
     clips = {clip["path"]: clip["clip"]["tracks"] for clip in animation["animations"]}
     for pick in found:
         (track,) = [t for t in clips[f"/hplan/picked/fruit {pick.fruit.name}"] if t["name"] == ".position"]
@@ -110,7 +110,7 @@ def test_arms_that_are_in_each_others_way_wait(orchard):
         }
     )
     robot = cell.arm("left").robot
-    result = plan_cell_tour(Cell.of(near, {"left": robot, "right": robot}), QUICK)
+    result = plan_cell_tour(Cell.from_robots(near, {"left": robot, "right": robot}), QUICK)
     assert result.verified
     assert result.picked
     alone = result.cell.task(result.trajectory.position[-1], obstacles=False)
@@ -125,7 +125,9 @@ def test_arms_one_above_the_other(orchard):
     )
     fruits = load_scene("orchard-arm-row").fruits[9:18]
     robot = cell.arm("left").robot
-    stacked = Cell.of(scene.model_copy(update={"robots": arms, "fruits": fruits}), {"left": robot, "right": robot})
+    stacked = Cell.from_robots(
+        scene.model_copy(update={"robots": arms, "fruits": fruits}), {"left": robot, "right": robot}
+    )
     result = plan_cell_tour(stacked, QUICK)
     assert result.verified
     assert len(result.picked) >= 6
@@ -138,7 +140,7 @@ def test_fruit_goes_to_the_drop_offs_and_is_in_nobodys_way(orchard):
     arms = tuple(arm.model_copy(update={"drop_off": DROP, "every": 2}) for arm in scene.robots)
     robot = cell.arm("left").robot
     carrying = scene.model_copy(update={"robots": arms, "fruits": scene.fruits[:6]})
-    result = plan_cell_tour(Cell.of(carrying, {"left": robot, "right": robot}), QUICK)
+    result = plan_cell_tour(Cell.from_robots(carrying, {"left": robot, "right": robot}), QUICK)
     assert result.verified
     assert len(result.picked) >= 4
     assert result.dropped.keys() == result.picked.keys()
@@ -167,21 +169,23 @@ def test_carried_fruit_keeps_clear_of_other_arm(robot):
             CellRobot(name="b", position=(0.0, 0.32, 0.0), start=start),
         )
         with pytest.raises(error, match=told):
-            plan_cell_tour(Cell.of(CellScene(name="s", robots=arms, fruits=(apple,)), {"a": robot, "b": robot}))
+            plan_cell_tour(
+                Cell.from_robots(CellScene(name="s", robots=arms, fruits=(apple,)), {"a": robot, "b": robot})
+            )
 
 
 def test_arms_that_touch_at_the_start_are_refused(robot):
     start = Start(joints_deg=(0.0, 60.0, 60.0, 60.0))
     arms = (CellRobot(name="a", start=start), CellRobot(name="b", position=(0.0, 0.0, 0.1), start=start))
     with pytest.raises(ConfigurationInCollisionError, match="start"):
-        plan_cell_tour(Cell.of(CellScene(name="s", robots=arms), {"a": robot, "b": robot}))
+        plan_cell_tour(Cell.from_robots(CellScene(name="s", robots=arms), {"a": robot, "b": robot}))
 
 
 def test_nothing_to_pick(robot):
     far = Fruit(name="far", center=(9.0, 0.0, 1.0), radius=0.04)
     arm = CellRobot(name="one", start=Start(joints_deg=(0.0, 60.0, 60.0, 60.0)))
     with pytest.raises(TourError, match="far"):
-        plan_cell_tour(Cell.of(CellScene(name="s", robots=(arm,), fruits=(far,)), {"one": robot}))
+        plan_cell_tour(Cell.from_robots(CellScene(name="s", robots=(arm,), fruits=(far,)), {"one": robot}))
 
 
 CELL = """\

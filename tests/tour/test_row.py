@@ -20,7 +20,7 @@ from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box
 from hplan.scene.orchard import MeasuredOptions, measured_orchard
-from hplan.tour.row import Place, RowOptions, RowResult, cover, pickable, plan_row, within_reach
+from hplan.tour.row import BaseStop, RowOptions, RowResult, cover, pickable, plan_row, within_reach
 
 QUICK = hplan.PlanOptions(effort="quick")
 COARSE = RowOptions(distance=1.2, step=0.8)
@@ -86,10 +86,10 @@ def test_covers_are_those_of_trying_all(seed: int) -> None:
 # Places
 
 
-@pytest.mark.parametrize("place", [Place(1, 0.3, 0.0), Place(2, -0.4, 0.2)])
-def test_fruit_seen_from_a_position(scene: Scene, place: Place) -> None:
+@pytest.mark.parametrize("place", [BaseStop(1, 0.3, 0.0), BaseStop(2, -0.4, 0.2)])
+def test_fruit_seen_from_a_position(scene: Scene, place: BaseStop) -> None:
     """A base at the place, facing the row, has the fruits ahead at their distance."""
-    seen = place.seen(scene, COARSE)
+    seen = place.see_scene(scene, COARSE)
     base = np.array([2.0 * COARSE.distance if place.side == 2 else 0.0, place.along, place.height])
     ahead: FloatArray = np.array([-1.0 if place.side == 2 else 1.0, 0.0, 0.0])
     for before, after in zip(scene.fruits, seen.fruits, strict=True):
@@ -102,7 +102,9 @@ def test_fruit_seen_from_a_position(scene: Scene, place: Place) -> None:
 
 def test_obstacles_on_vehicle_move_with_base(scene: Scene) -> None:
     bin_ = Box(name="bin", center=(-0.9, 0.0, 0.2), size=(0.4, 0.4, 0.4))
-    seen = Place(2, 1.0, 0.0).seen(scene.with_obstacles([*scene.obstacles, bin_]), replace(COARSE, carried=("bin",)))
+    seen = BaseStop(2, 1.0, 0.0).see_scene(
+        scene.with_obstacles([*scene.obstacles, bin_]), replace(COARSE, carried=("bin",))
+    )
     assert [one for one in seen.obstacles if one.name == "bin"] == [bin_]
 
 
@@ -139,7 +141,7 @@ def test_each_tour_is_certified_among_remaining_fruit(arm: Robot, row: RowResult
         assert stop.tour.certificate.verified
         assert not gone & {fruit.name for fruit in stop.tour.scene.fruits}
         np.testing.assert_allclose(stop.tour.trajectory.position[-1], row.scene.start.configuration, atol=1e-9)
-        seen = {fruit.name: fruit.center for fruit in stop.place.seen(row.scene, row.options).fruits}
+        seen = {fruit.name: fruit.center for fruit in stop.place.see_scene(row.scene, row.options).fruits}
         for leg in stop.tour.legs:
             if leg.fruit is not None and leg.grasp is not None:
                 place = arm.tool_positions(leg.grasp.goal[None])[0]
@@ -170,8 +172,8 @@ def test_stops_with_base_in_contact_are_excluded(arm: Robot, scene: Scene) -> No
     post = Box(name="post", center=(0.0, 0.8, 0.2), size=(0.1, 0.1, 0.4))
     with_post = scene.with_obstacles([*scene.obstacles, post])
     found = plan_row(arm, with_post, QUICK, row=replace(COARSE, both=False))
-    assert Place(1, 0.8, 0.0) not in found.candidates
-    assert Place(1, 0.0, 0.0) in found.candidates
+    assert BaseStop(1, 0.8, 0.0) not in found.candidates
+    assert BaseStop(1, 0.0, 0.0) in found.candidates
 
 
 def test_nothing_in_reach(arm: Robot, scene: Scene) -> None:

@@ -28,9 +28,9 @@ from hplan.scene.file import save_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Sphere
 from hplan.tour import ordering
-from hplan.tour.motions import carrying
+from hplan.tour.motions import with_carried_fruit
 from hplan.tour.moves import Joins, Moves, Stop
-from hplan.tour.ordering import SEGMENT, Costs, Visits, along, best, nearest
+from hplan.tour.ordering import SEGMENT, Costs, Visits, best, nearest_tour, order_grasps
 from hplan.tour.tour import TourOptions, TourPlanner, TourResult, plan_tour
 from hplan.trajectory.trajectory import Trajectory, read_csv
 
@@ -179,7 +179,7 @@ def test_order_is_best_and_certified(robot: Robot, scene: Scene, tour: TourResul
 def test_costs_are_on_a_raster(robot: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Motions last whole periods, so that sums tie in any order of addition."""
     seen: list[Costs] = []
-    monkeypatch.setattr("hplan.tour.tour.nearest", lambda costs: seen.append(costs) or nearest(costs))
+    monkeypatch.setattr("hplan.tour.tour.nearest", lambda costs: seen.append(costs) or nearest_tour(costs))
     plan_tour(robot, scene, OPTIONS, tour=TourOptions(order="nearest", drop_off=DROP, back=True))
     assert seen
     for costs in seen:
@@ -221,7 +221,7 @@ def test_drop_off_after_two(robot: Robot, scene: Scene, carried: TourResult) -> 
 
 def test_carried_fruit_is_clear(robot: Robot, scene: Scene, carried: TourResult) -> None:
     """Between picking and letting go there is a fruit at the tool."""
-    thick = carrying(robot, 0.04)
+    thick = with_carried_fruit(robot, 0.04)
     np.testing.assert_allclose(thick.arm.half_widths, [0.05, 0.04, 0.04], rtol=0, atol=1e-12)
     motion, contact = carried.trajectory, times_of_contact(carried)
     checker_at = checkers(thick, scene, carried)
@@ -306,13 +306,13 @@ def test_no_fruit_at_all_is_an_error_with_all_reasons(robot: Robot) -> None:
 def moves_of_seconds(robot: Robot, seconds: dict[tuple[int, int], float], stops: Sequence[Stop]) -> Moves:
     """Moves among stops; some motions are known, named by their ends."""
     scene = orchard(robot, fruits=False)
-    moves = Moves(Problem.of(robot, scene, OPTIONS), None)
+    moves = Moves(Problem.from_scene(robot, scene, OPTIONS), None)
     for stop in stops:
         moves.add(stop)
     shown = Certificate(True, math.inf, None, LimitUse(0.0, 0.0, 0.0, 0.0), 0, ())
     for (a, b), duration in seconds.items():
         there, back = (SimpleNamespace(duration=duration, ends=ends) for ends in ((a, b), (b, a)))
-        there.reversed, back.reversed = back, there
+        there.reversal, back.reversal = back, there
         moves.keep(a, b, False, Motion("transit", there, shown))  # type: ignore[arg-type]
     return moves
 
@@ -359,7 +359,7 @@ def test_joins_equal_joint_optimum_over_stops() -> None:
             if way is not None:
                 assert (way[0], way[-1]) == (a, b)
                 assert not shut & set(way[1:-1])
-                assert sum(direct[pair] for pair in itertools.pairwise(way)) <= joins.between(a, b) + 1e-9
+                assert sum(direct[pair] for pair in itertools.pairwise(way)) <= joins.duration_between(a, b) + 1e-9
 
 
 def test_motions_flow_where_that_is_quicker(robot: Robot, scene: Scene, tour: TourResult) -> None:
@@ -544,7 +544,7 @@ def test_few_fruits_are_exact(seed: int, capacity: int, absent: float) -> None:
 def test_configurations_and_drop_offs_of_an_order_are_optimal(seed: int, capacity: int, absent: float) -> None:
     costs = random_costs(seed, 5, capacity=capacity, absent=absent, round_numbers=seed % 2 == 1)
     order = tuple(np.random.default_rng(seed).permutation(5).tolist())
-    found = along(costs, order)
+    found = order_grasps(costs, order)
     wanted = brute_force(costs, [order])
     assert found.cost == pytest.approx(wanted, rel=1e-12) or found.cost == wanted == math.inf
     if math.isfinite(wanted):
@@ -562,7 +562,7 @@ def test_local_search_comes_near_the_optimum(monkeypatch: pytest.MonkeyPatch, se
     again = best(costs, costs.fruit_of[first.places])
     assert cost_of(costs, again) == pytest.approx(again.cost, rel=1e-12)
     assert exact.cost <= again.cost * (1 + 1e-12)
-    assert again.cost <= first.cost <= along(costs, costs.fruit_of[nearest(costs).places]).cost
+    assert again.cost <= first.cost <= order_grasps(costs, costs.fruit_of[nearest_tour(costs).places]).cost
     assert again.cost <= 1.1 * exact.cost
 
 
@@ -584,17 +584,17 @@ def test_cost_of_change_equals_cost_of_changed_order(capacity: int) -> None:
             size = (kind - 1) % SEGMENT + 1
             if (j <= i) if kind == 0 else (i == j or max(i, j) + size > n + 1):
                 continue
-            ordering._change(order, (kind, i, j), other)
+            ordering._change_of_order(order, (kind, i, j), other)
             assert (other[0], sorted(other[1:-1]), other[-1]) == (n, list(range(n)), n + 1)
             trial = ordering._trial(order, ends, (kind, i, j), known, here)
             assert trial == pytest.approx(ordering._cost(other[1:-1], costs, table), rel=1e-12)
             # Updating the changed part equals computing everything.
             anew = ordering.Segments(*(array.copy() for array in known))
             whole = ordering.Segments(*(np.full(shape, np.nan) for shape in shapes))
-            ordering._fill_segments(other, ends, (min(i, j), ordering._after((kind, i, j))), anew)
+            ordering._fill_segments(other, ends, (min(i, j), ordering._end_of_change((kind, i, j))), anew)
             ordering._fill_segments(other, ends, (0, n + 2), whole)
             assert all((a[~np.isnan(b)] == b[~np.isnan(b)]).all() for a, b in zip(anew, whole, strict=True))
-            bound = ordering._bound(order, (kind, i, j), steps, known)
+            bound = ordering._bound_tour(order, (kind, i, j), steps, known)
             assert bound == pytest.approx(trial, rel=1e-12) if single else bound <= trial * (1.0 + 1e-12)
 
 
@@ -614,11 +614,11 @@ def test_nearest_goes_on_to_the_nearest() -> None:
     x = np.array([1.0, -1.1, 2.2, -4.0])
     onward, none = np.abs(x[:, None] - x), np.full(4, np.inf)
     costs = Costs(np.arange(5), np.abs(x), onward, none, none, np.zeros(4), 0)
-    found = nearest(costs)
+    found = nearest_tour(costs)
     assert found.places.tolist() == [0, 2, 1, 3]
     assert found.cost == pytest.approx(1.0 + 1.2 + 3.3 + 2.9)
     carried = Costs(np.arange(5), np.abs(x), onward, np.abs(x), np.abs(x), np.abs(x), 2)
-    found = nearest(carried)
+    found = nearest_tour(carried)
     assert found.places.tolist() == [0, 2, 1, 3]
     assert found.dropped.tolist() == [False, True, False, False]
     assert found.cost == pytest.approx(cost_of(carried, found))
@@ -627,13 +627,13 @@ def test_nearest_goes_on_to_the_nearest() -> None:
 @pytest.mark.parametrize("capacity", [1, 2, 3, 7])
 @pytest.mark.parametrize("seed", range(3))
 def test_nearest_never_carries_more_than_it_can(seed: int, capacity: int) -> None:
-    found = nearest(random_costs(seed, 13, capacity=capacity))
+    found = nearest_tour(random_costs(seed, 13, capacity=capacity))
     ends = [*np.flatnonzero(found.dropped).tolist(), 12]
     loads = np.diff([-1, *ends]).tolist()
     assert loads == [capacity] * (13 // capacity) + [13 % capacity] * (13 % capacity > 0)
 
 
-@pytest.mark.parametrize("find", [best, nearest, lambda costs: along(costs, [1, 0, 2])])
+@pytest.mark.parametrize("find", [best, nearest_tour, lambda costs: order_grasps(costs, [1, 0, 2])])
 def test_no_tour_costs_infinity(find: object) -> None:
     none = np.full(3, np.inf)
     costs = Costs(np.arange(4), np.ones(3), np.full((3, 3), np.inf), none, none, np.zeros(3), 0)

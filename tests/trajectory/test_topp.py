@@ -23,7 +23,7 @@ from hplan.trajectory.spline import SplinePath
 from hplan.trajectory.time_scaling import OFF_PATH
 from hplan.trajectory.time_steps import AHEAD
 from hplan.trajectory.topp import PathView, fastest_speed, half_planes, passes
-from hplan.trajectory.trajectory import Retimed, Trajectory, scaled, stopped
+from hplan.trajectory.trajectory import Retimed, Trajectory, scale_motion, stop_motion
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def limits(robot):
 
 @pytest.fixture(scope="module")
 def dynamics(robot):
-    return InverseDynamics.of(robot.model)
+    return InverseDynamics.build(robot.model)
 
 
 class HalfPlanes(constraint.LinearConstraint):
@@ -83,7 +83,7 @@ def spline(rng, span, locked):
     control = 0.8 + rng.uniform(-0.7, 0.7, 4) + span * rng.uniform(-0.7, 0.7, (int(rng.integers(4, 12)), 4))
     if locked is not None:
         control[:, locked] = 0.3
-    return SplinePath.through(control)
+    return SplinePath.from_control_points(control)
 
 
 def cosine(end, points):
@@ -148,7 +148,7 @@ def test_speeds_use_a_limit_and_pass_none(dynamics, limits, seed, span):
 @pytest.mark.parametrize("at", [slice(None), slice(5, 6)])
 def test_half_planes_without_a_point(dynamics, limits, a, c, at):
     """a u + c <= 0 and -a u + c <= 0, everywhere or at one point."""
-    path = SplinePath.through(np.linspace(np.zeros(4), np.full(4, 0.5), 5))
+    path = SplinePath.from_control_points(np.linspace(np.zeros(4), np.full(4, 0.5), 5))
     grid = cosine(path.end, 20)
     rows = half_planes(PathView(path, 4, 1.0), dynamics, limits, grid)
     rows[at, 6:8, 0], rows[at, 6:8, 1], rows[at, 6:8, 2] = (a, -a), 0.0, c
@@ -220,7 +220,7 @@ def assert_on_path(robot: Robot, retimed: Retimed, motion: Trajectory) -> None:
 @given(motion=with_motion(), part=st.floats(0.0, 1.0))
 def test_a_stop_is_on_the_path_within_limits_and_ends_at_rest(robot, motion, part):
     t = part * motion.duration
-    found = stopped(motion, t, robot)
+    found = stop_motion(motion, t, robot)
     trajectory = found.trajectory
     assert not trajectory.velocity[-1].any()
     assert not trajectory.acceleration[-1].any()
@@ -235,13 +235,13 @@ def test_a_stop_is_on_the_path_within_limits_and_ends_at_rest(robot, motion, par
 @given(motion=with_motion(), part=st.floats(0.2, 0.8), later=st.floats(0.0, 1.0))
 def test_a_stop_of_a_stop_keeps_limits_too(robot, motion, part, later):
     """Excesses over a limit do not accumulate."""
-    first = stopped(motion, part * motion.duration, robot)
+    first = stop_motion(motion, part * motion.duration, robot)
     begin = motion.time[min(first.row, motion.samples - 1)]
-    again = stopped(first.trajectory, begin + later * (first.trajectory.duration - begin), robot)
+    again = stop_motion(first.trajectory, begin + later * (first.trajectory.duration - begin), robot)
     trajectory = again.trajectory
     assert not trajectory.velocity[-1].any()
     assert (np.abs(trajectory.acceleration) <= robot.acceleration_limit * 1.001).all()
-    slower = scaled(first.trajectory, [(0.0, 1.0), (begin + 0.04, 1.0), (begin + 0.04, 0.5)], robot)
+    slower = scale_motion(first.trajectory, [(0.0, 1.0), (begin + 0.04, 1.0), (begin + 0.04, 0.5)], robot)
     assert (np.abs(slower.trajectory.acceleration) <= robot.acceleration_limit * 1.001).all()
 
 
@@ -249,7 +249,7 @@ def test_a_stop_of_a_stop_keeps_limits_too(robot, motion, part, later):
 @given(motion=with_motion(), part=st.floats(0.05, 0.6))
 def test_a_stop_is_about_as_quick_as_limits_allow(robot, motion, part):
     """Minimum time of one joint alone, plus jerk ramps and the other joints' needs."""
-    found = stopped(motion, part * motion.duration, robot)
+    found = stop_motion(motion, part * motion.duration, robot)
     seconds = found.trajectory.duration - motion.time[found.row]
     speed, push = np.abs(motion.velocity[found.row]), robot.acceleration_limit
     alone = float((speed / push).max())
@@ -262,7 +262,7 @@ def test_a_stop_is_about_as_quick_as_limits_allow(robot, motion, part):
 def test_speed_factors_keep_path_and_limits(robot, motion, times, data):
     factors = data.draw(st.lists(st.floats(0.0, 1.0), min_size=len(times), max_size=len(times)))
     rows = [*zip(sorted(times), factors, strict=True), (3.0, 0.7)]
-    found = scaled(motion, rows, robot)
+    found = scale_motion(motion, rows, robot)
     trajectory = found.trajectory
     np.testing.assert_allclose(trajectory.position[-1], motion.position[-1], rtol=0, atol=1e-9)
     assert not trajectory.velocity[-1].any()
@@ -274,9 +274,9 @@ def test_speed_factors_keep_path_and_limits(robot, motion, times, data):
 
 def test_factor_is_followed(robot):
     motion = motions()[1]
-    slow = scaled(motion, 0.5, robot)
+    slow = scale_motion(motion, 0.5, robot)
     assert slow.trajectory.duration == pytest.approx(2.0 * motion.duration, rel=0.02)
-    later = scaled(motion, lambda time: 1.0 if time < 0.3 else 0.25, robot)
+    later = scale_motion(motion, lambda time: 1.0 if time < 0.3 else 0.25, robot)
     assert motion.time[later.row] == pytest.approx(0.296)
     pace = np.diff(later.clock) / np.diff(later.trajectory.time)
     assert (pace[later.trajectory.time[1:] > 0.6] < 0.2501).all()
@@ -284,21 +284,21 @@ def test_factor_is_followed(robot):
 
 def test_pause_and_on(robot):
     motion = motions()[1]
-    found = scaled(motion, [(0.0, 1.0), (0.3, 1.0), (0.3, 0.0), (1.5, 0.0), (1.5, 1.0)], robot)
+    found = scale_motion(motion, [(0.0, 1.0), (0.3, 1.0), (0.3, 0.0), (1.5, 0.0), (1.5, 1.0)], robot)
     paused = np.abs(found.trajectory.velocity).max(axis=1) == 0.0
     assert paused[(found.trajectory.time > 1.0) & (found.trajectory.time < 1.49)].all()
     np.testing.assert_allclose(found.trajectory.position[-1], motion.position[-1], rtol=0, atol=1e-9)
-    ended = scaled(motion, [(0.3, 1.0), (0.3, 0.0)], robot)
-    assert ended.trajectory.duration == pytest.approx(stopped(motion, 0.3, robot).trajectory.duration, abs=0.01)
+    ended = scale_motion(motion, [(0.3, 1.0), (0.3, 0.0)], robot)
+    assert ended.trajectory.duration == pytest.approx(stop_motion(motion, 0.3, robot).trajectory.duration, abs=0.01)
 
 
 def test_speed_factor_above_one_within_limits(robot):
-    slow = scaled(motions()[1], 0.5, robot).trajectory
-    quicker = scaled(slow, 1.2, robot).trajectory
+    slow = scale_motion(motions()[1], 0.5, robot).trajectory
+    quicker = scale_motion(slow, 1.2, robot).trajectory
     assert quicker.duration == pytest.approx(slow.duration / 1.2, rel=0.02)
     assert_within_limits(robot, quicker)
     with pytest.raises(OptionError, match=r"factors up to .* joint .* reaches its .* limit"):
-        scaled(slow, 3.0, robot)
+        scale_motion(slow, 3.0, robot)
 
 
 def test_deviation_from_path_is_independent_of_accelerations(robot):
@@ -308,7 +308,7 @@ def test_deviation_from_path_is_independent_of_accelerations(robot):
     names = ("time", "position", "velocity", "torque")
     time, position, velocity, torque = (getattr(motion, name)[rows] for name in names)
     untold = Trajectory(motion.joint_names, time, position, velocity, np.zeros_like(position), torque)
-    found = scaled(untold, 0.6, robot)
+    found = scale_motion(untold, 0.6, robot)
     off = np.abs(found.trajectory.position - untold.positions(found.clock)).max(axis=0)
     assert (off <= found.off_path).all()
     assert off.max() > 1e-7
@@ -316,12 +316,12 @@ def test_deviation_from_path_is_independent_of_accelerations(robot):
 
 def test_motion_that_does_not_end_at_rest(robot):
     motion = motions()[1]
-    begun = motion.until(40)
-    assert not stopped(begun, 0.0, robot).trajectory.velocity.any()
+    begun = motion.cut_after(40)
+    assert not stop_motion(begun, 0.0, robot).trajectory.velocity.any()
     with pytest.raises(TimingError, match="does not end at rest"):
-        stopped(begun, begun.duration, robot)
+        stop_motion(begun, begun.duration, robot)
 
 
 def test_pause_without_an_end_is_refused(robot):
     with pytest.raises(OptionError, match="has not"):
-        scaled(motions()[1], lambda time: 0.0, robot)
+        scale_motion(motions()[1], lambda time: 0.0, robot)

@@ -25,11 +25,11 @@ from hplan.robot.limits import Limits
 from hplan.robot.model import Robot, load_robot
 from hplan.trajectory import rounded_path
 from hplan.trajectory.braking import braking
-from hplan.trajectory.corner_rounding import largest_deviation
+from hplan.trajectory.corner_rounding import largest_path_deviation
 from hplan.trajectory.retime import GRID_POINTS, time_path
 from hplan.trajectory.speed_profile import parameter_grid
 from hplan.trajectory.spline import SplinePath
-from hplan.trajectory.trajectory import Trajectory, csv_header, joined, read_csv, write_csv
+from hplan.trajectory.trajectory import Trajectory, csv_header, join_trajectories, read_csv, write_csv
 
 HEADER = "time_s,a_pos_rad,a_vel_rad_s,a_acc_rad_s2,a_torque_nm"
 FIELDS = ("time", "position", "velocity", "acceleration", "torque")
@@ -87,24 +87,24 @@ def ending_at_rest(samples: int, begin: float, end: float, names: tuple[str, ...
 
 def test_backwards():
     trajectory = some_trajectory(7)
-    back = trajectory.reversed
+    back = trajectory.reversal
     assert back.duration == trajectory.duration
     np.testing.assert_allclose(back.time, trajectory.duration - trajectory.time[::-1], atol=1e-15)
     np.testing.assert_array_equal(back.position, trajectory.position[::-1])
     np.testing.assert_array_equal(back.velocity, -trajectory.velocity[::-1])
     np.testing.assert_array_equal(back.acceleration, trajectory.acceleration[::-1])
     np.testing.assert_array_equal(back.torque, trajectory.torque[::-1])
-    twice = back.reversed
+    twice = back.reversal
     np.testing.assert_allclose(twice.time, trajectory.time, atol=1e-15)
     for field in FIELDS[1:]:
         np.testing.assert_array_equal(getattr(twice, field), getattr(trajectory, field))
-    assert some_trajectory(1).reversed.samples == 1
+    assert some_trajectory(1).reversal.samples == 1
 
 
 def test_one_after_the_other():
     stretches = ((5, 0.0, 1.0), (1, 1.0, 1.0), (4, 1.0, -0.5), (3, -0.5, 0.0))
     parts = [ending_at_rest(*stretch) for stretch in stretches]
-    whole = joined(parts)
+    whole = join_trajectories(parts)
     assert whole.samples == 5 + 0 + 3 + 2
     assert whole.duration == pytest.approx(sum(part.duration for part in parts))
     assert (np.diff(whole.time) > 0.0).all()
@@ -113,24 +113,24 @@ def test_one_after_the_other():
         np.testing.assert_array_equal(getattr(whole, field)[5:8], getattr(parts[2], field)[1:])
         np.testing.assert_array_equal(getattr(whole, field)[8:], getattr(parts[3], field)[1:])
     np.testing.assert_allclose(whole.time[5:8], 1.6 + parts[2].time[1:])
-    assert_equal(joined(parts[:1]), parts[0])
-    assert joined([ending_at_rest(1, 1.0, 1.0)] * 3).samples == 1
+    assert_equal(join_trajectories(parts[:1]), parts[0])
+    assert join_trajectories([ending_at_rest(1, 1.0, 1.0)] * 3).samples == 1
 
 
 def test_discontinuous_motions_are_not_joined():
     first = ending_at_rest(5, 0.0, 1.0)
     with pytest.raises(InputError, match="no motion"):
-        joined([])
+        join_trajectories([])
     with pytest.raises(InputError, match="motion 1 moves other joints"):
-        joined([first, ending_at_rest(5, 1.0, 2.0, ("b", "a"))])
+        join_trajectories([first, ending_at_rest(5, 1.0, 2.0, ("b", "a"))])
     for gap in (0.1, -2.0 * 1e-9):
         with pytest.raises(InputError, match="motion 2 does not begin where the one before it ends") as caught:
-            joined([first, first.reversed, ending_at_rest(5, gap, 2.0)])
+            join_trajectories([first, first.reversal, ending_at_rest(5, gap, 2.0)])
         assert caught.value.data["motion"] == 2
-    joined([first, first.reversed, ending_at_rest(5, 0.5 * 1e-9, 2.0)])
+    join_trajectories([first, first.reversal, ending_at_rest(5, 0.5 * 1e-9, 2.0)])
     moving = Trajectory(first.joint_names, first.time, first.position + 1.0, first.velocity + 0.1, *np.zeros((2, 5, 2)))
     with pytest.raises(InputError, match="does not begin where"):
-        joined([first, moving])
+        join_trajectories([first, moving])
 
 
 # CSV
@@ -289,11 +289,11 @@ def smooth_limits(limits):
 
 @pytest.fixture(scope="module")
 def reference_path(robot, scene):
-    return SplinePath.through(plan(robot, scene, PlanOptions(effort="quick")).trajectory.position[::40])
+    return SplinePath.from_control_points(plan(robot, scene, PlanOptions(effort="quick")).trajectory.position[::40])
 
 
 def straight(start, end, count=5):
-    return SplinePath.through(np.linspace(start, end, count))
+    return SplinePath.from_control_points(np.linspace(start, end, count))
 
 
 def curve(seed, robot, count=7, share=0.8):
@@ -301,7 +301,7 @@ def curve(seed, robot, count=7, share=0.8):
     rng = np.random.default_rng(seed)
     middle, half = 0.5 * (robot.lower + robot.upper), 0.5 * share * (robot.upper - robot.lower)
     half[0] = min(half[0], 1.0)
-    return SplinePath.through(middle + rng.uniform(-half, half, (count, robot.dof)))
+    return SplinePath.from_control_points(middle + rng.uniform(-half, half, (count, robot.dof)))
 
 
 def joint_turn(robot, joint, angle, start=0.1):
@@ -490,17 +490,17 @@ def test_share_of_the_speed(robot, limits, smooth_limits):
     free = replace(smooth_limits, torque=None)
     full = time_path(path, robot.model, free).duration
     for share in (0.5, 0.1):
-        slow = free.scaled(share)
+        slow = free.scale(share)
         trajectory = time_path(path, robot.model, slow)
         assert_sound(trajectory, robot.model, slow, path=path)
         assert trajectory.duration == pytest.approx(full / share, rel=0.02)
-    half = limits.scaled(0.5)
+    half = limits.scale(0.5)
     np.testing.assert_array_equal(half.velocity, 0.5 * limits.velocity)
     np.testing.assert_array_equal(half.acceleration, 0.25 * limits.acceleration)
     np.testing.assert_array_equal(half.jerk, 0.125 * limits.jerk)
     np.testing.assert_array_equal(half.torque, limits.torque)
-    assert smooth_limits.scaled(1.0).jerk is None
-    assert free.scaled(0.3).torque is None
+    assert smooth_limits.scale(1.0).jerk is None
+    assert free.scale(0.3).torque is None
 
 
 @pytest.mark.parametrize(("where", "share"), [("start", (0.0, 0.0, 0.0, 1.0)), ("end", (0.0, 3.0, -3.0, 1.0))])
@@ -557,7 +557,7 @@ AWKWARD = {
 
 @pytest.mark.parametrize("case", AWKWARD)
 def test_awkward_paths(robot, smooth_limits, case):
-    path = SplinePath.through(AWKWARD[case]())
+    path = SplinePath.from_control_points(AWKWARD[case]())
     trajectory = time_path(path, robot.model, smooth_limits)
     assert_sound(trajectory, robot.model, smooth_limits, path=path)
     assert trajectory.duration < 12.0
@@ -631,7 +631,7 @@ polylines = npst.arrays(np.float64, st.tuples(st.integers(2, 9), st.integers(1, 
 def test_path_keeps_to_the_polyline(points, deviation):
     path = rounded_path(points, deviation)
     curve = path.evaluate(np.linspace(0.0, path.end, 4000))
-    assert largest_deviation(curve, points) <= deviation + 1e-12
+    assert largest_path_deviation(curve, points) <= deviation + 1e-12
     np.testing.assert_allclose(path.evaluate([0.0, path.end]), points[[0, -1]], rtol=1e-15, atol=2e-9)
     # Joint limits that the waypoints keep.
     assert (path.pieces >= points.min(axis=0) - 1e-12).all()

@@ -14,7 +14,14 @@ from toy_urdf import LIMIT, urdf
 
 from hplan.errors import InputError, JointLimitError, TimingError
 from hplan.robot.limits import Limits
-from hplan.trajectory import largest_deviation, limit_shares, limits_of, read_kinematics, read_waypoints, time_waypoints
+from hplan.trajectory import (
+    largest_path_deviation,
+    limit_shares,
+    limits_of,
+    read_kinematics,
+    read_waypoints,
+    time_waypoints,
+)
 from hplan.trajectory.timing import ENDLESS
 from hplan.trajectory.trajectory import read_csv
 
@@ -70,7 +77,7 @@ def test_motion_keeps_its_limits_and_is_fast(toy, deviation):
     motion = time_waypoints(toy, CORNERS, limits, deviation_rad=deviation)
     check_by_differencing(toy, motion, limits)
     np.testing.assert_array_equal(motion.position[[0, -1]], CORNERS[[0, -1]])
-    assert largest_deviation(motion.position, CORNERS) <= deviation
+    assert largest_path_deviation(motion.position, CORNERS) <= deviation
     assert limit_shares(motion, limits).bound >= 0.9
 
 
@@ -213,7 +220,7 @@ def test_other_arms(name, joints, held, script, capsys, tmp_path):
     limits = limits_of(model, 8.0)
     motion = time_waypoints(model, waypoints, limits)
     check_by_differencing(model, motion, limits)
-    assert largest_deviation(motion.position, waypoints) <= math.radians(1.0)
+    assert largest_path_deviation(motion.position, waypoints) <= math.radians(1.0)
     assert limit_shares(motion, limits).bound >= 0.9
     with (tmp_path / "w.csv").open("w", newline="") as stream:
         csv.writer(stream).writerows([joint_names, *waypoints.tolist()])

@@ -47,7 +47,7 @@ def facing(robot, distance: float, start=TO, goal=FROM, **more) -> Cell:
         name="right", position=(distance, 0.0, 0.0), rpy_deg=(0.0, 0.0, 180.0), start=Start(joints_deg=start),
         goal=None if goal is None else Goal(joints_deg=goal),
     )  # fmt: skip
-    return Cell.of(CellScene(name="two", robots=(left, right), **more), {"left": robot, "right": robot})
+    return Cell.from_robots(CellScene(name="two", robots=(left, right), **more), {"left": robot, "right": robot})
 
 
 def apart(cell: Cell, q: np.ndarray) -> float:
@@ -125,7 +125,7 @@ def test_distant_arms_move_simultaneously(robot):
 def test_arms_in_each_others_way_go_around_each_other(robot, clearance):
     cell = facing(robot, 1.1, clearance=clearance)
     alone = {arm.name: plan_alone(arm) for arm in cell.arms}
-    assert apart(cell, every(cell.together(alone))) < 1e-6
+    assert apart(cell, every(cell.join_motions(alone))) < 1e-6
     assert not certify_cell(cell, alone).verified
     result = plan_cell(cell)
     assert result.certificate.verified
@@ -144,7 +144,7 @@ def test_one_begins_later_where_that_is_all_there_is(robot, monkeypatch, error):
     def none(*_):
         raise error
 
-    monkeypatch.setattr("hplan.workcell.planner._CellPlanner._around", none)
+    monkeypatch.setattr("hplan.workcell.planner._CellPlanner._plan_together", none)
     result = plan_cell(facing(robot, 1.1, start=FROM, goal=TO))
     assert result.certificate.verified
     assert result.how == "one later"
@@ -159,7 +159,7 @@ def test_arms_avoid_resting_arms_and_make_room(robot, monkeypatch, right):
     def none(*_):
         raise CertificationError("none")
 
-    monkeypatch.setattr("hplan.workcell.planner._CellPlanner._around", none)
+    monkeypatch.setattr("hplan.workcell.planner._CellPlanner._plan_together", none)
     result = plan_cell(facing(robot, 0.8, **right))
     assert result.certificate.verified
     assert apart(result.cell, every(result.trajectory)) > 0.0
@@ -179,7 +179,7 @@ def test_grazing_arms_are_not_verified(robot):
 
         def least(distance: float, at=at) -> tuple[Cell, float]:
             cell = facing(robot, distance, start=at, goal=None)
-            return cell, apart(cell, every(cell.together({"left": moving}), 0.01))
+            return cell, apart(cell, every(cell.join_motions({"left": moving}), 0.01))
 
         near, far = 0.7, 3.5
         for _ in range(14):
@@ -256,7 +256,7 @@ def test_each_arm_picks_its_fruit(robot):
     x, y, z = high.center
     there = Fruit(name=f"{high.name} there", center=(x, y - 4.0, z), radius=high.radius)
     everything = CellScene(name="s", robots=arms, obstacles=scene.obstacles, fruits=(*scene.fruits, there))
-    result = plan_cell(Cell.of(everything, {"left": robot, "right": robot}))
+    result = plan_cell(Cell.from_robots(everything, {"left": robot, "right": robot}))
     assert result.certificate.verified
     for name, fruit in (("left", low), ("right", there)):
         (contact,) = result.certificate.arms[name].contacts
@@ -275,7 +275,7 @@ def test_each_arm_picks_its_fruit(robot):
 def test_tilted_base_has_the_gravity_of_the_cell(robot):
     arm = CellRobot(name="hung", position=(0, 0, 2.5), rpy_deg=(180, 0, 0), start=Start(joints_deg=FROM),
                     goal=Goal(joints_deg=TO))  # fmt: skip
-    result = plan_cell(Cell.of(CellScene(name="s", robots=(arm,)), {"hung": robot}))
+    result = plan_cell(Cell.from_robots(CellScene(name="s", robots=(arm,)), {"hung": robot}))
     assert result.certificate.verified
     result.cell.robot.forward_kinematics(result.trajectory.position, result.cell.arm("hung").tool_frame)
     q = result.trajectory.position[:1]
@@ -326,17 +326,17 @@ def test_files(write):
 def test_wrong_values(robot):
     cell = facing(robot, 3.0)
     with pytest.raises(InputError, match="there is no robot for arm 'right'"):
-        Cell.of(cell.scene, {"left": robot})
+        Cell.from_robots(cell.scene, {"left": robot})
     with pytest.raises(OptionError, match="cell"):
         plan_cell(cell.scene)
     with pytest.raises(OptionError, match="bound"):
         plan_cell(cell, PlanOptions(bound=True))
     with pytest.raises(InputError, match="has a goal"):
-        plan_cell(Cell.of(facing(robot, 3.0, goal=None).scene.model_copy(
+        plan_cell(Cell.from_robots(facing(robot, 3.0, goal=None).scene.model_copy(
             update={"robots": tuple(r.model_copy(update={"goal": None}) for r in cell.scene.robots)}
         ), {"left": robot, "right": robot}))  # fmt: skip
     with pytest.raises(InputError, match="moves"):
-        cell.together({"left": cell.together({})})
+        cell.join_motions({"left": cell.join_motions({})})
     with pytest.raises(ConfigurationInCollisionError, match=r"of arm 'right' .*of arm 'left'"):
         plan_cell(facing(robot, 0.7, start=(40.0, 60.0, 60.0, 60.0), goal=(-40.0, 60.0, 60.0, 60.0)))
     with pytest.raises(NotFoundError):
@@ -381,7 +381,7 @@ def test_command_writes_each_arms_file(write, tmp_path, capsys):
 
 def test_fruits_are_picked_around_each_other(robot, monkeypatch):
     """Without independent motions: transits are planned together, then the approaches."""
-    scheduled = _CellPlanner._scheduled
+    scheduled = _CellPlanner._schedule
     monkeypatch.setattr(_CellPlanner, "_scheduled", lambda *given: scheduled(*given) if len(given) > 3 else None)
     monkeypatch.setattr(_CellPlanner, "_in_turn", lambda *_: None)
     fruits = tuple(Fruit(name=n, center=(1.2, y, 1.6), radius=0.04) for n, y in (("a", 0.3), ("b", -2.3)))
@@ -390,7 +390,7 @@ def test_fruits_are_picked_around_each_other(robot, monkeypatch):
         for n, y, f in (("left", 0.0, "a"), ("right", -2.0, "b"))
     )
     result = plan_cell(
-        Cell.of(CellScene(name="s", robots=arms, fruits=fruits), dict.fromkeys(("left", "right"), robot))
+        Cell.from_robots(CellScene(name="s", robots=arms, fruits=fruits), dict.fromkeys(("left", "right"), robot))
     )
     assert result.how == "around each other"
     assert result.certificate.verified

@@ -44,7 +44,7 @@ def beside(picker, aside: float = -4.0, names=("left", "right"), goal=None, lean
             goal=None if goal is None else Goal(joints_deg=goal),
         ),
     )  # fmt: skip
-    return Cell.of(CellScene(name="two", robots=arms, **more), dict.fromkeys(names, picker))
+    return Cell.from_robots(CellScene(name="two", robots=arms, **more), dict.fromkeys(names, picker))
 
 
 def foreign(picker, duration: float = 6.0, step: float = 1.0, start=FROM, goal=TO) -> Trajectory:
@@ -88,7 +88,7 @@ def test_columns_of_files_are_judged(picker, column):
     found = certify_cell(cell, {"left": replace(motion, **{column: 1e3 * getattr(motion, column)})})
     assert not found.arms["left"].verified
     assert any(message.startswith(f"left: {column} reaches") for message in found.violations)
-    whole = cell.together({"left": motion})
+    whole = cell.join_motions({"left": motion})
     assert certify_cell(cell, whole).verified
     assert not certify_cell(cell, replace(whole, **{column: 1e3 * getattr(whole, column)})).verified
 
@@ -163,7 +163,7 @@ def test_who_ends_in_motion_before_another_is_compared_up_to_there(picker, speed
     message = "the motion of arm 'left' ends at 2 s with joint 'base_yaw' at a speed of 0.2; its position after that is"
     assert any(message in each for each in found.between.violations)
     with pytest.raises(InputError, match="ends at 2 s with joint 'base_yaw'"):
-        cell.together({"left": short, "right": long})
+        cell.join_motions({"left": short, "right": long})
 
 
 def test_numbers_that_overflow_are_not_verified(picker):
@@ -229,7 +229,7 @@ def test_command_judges_files_as_given(picker, write, tmp_path, capsys):
     scene, folder = str(write("cell.yaml", YAML)), tmp_path / "files"
     folder.mkdir()
     good = foreign(picker)
-    stands = good.until(0)
+    stands = good.cut_after(0)
 
     def status(left: Trajectory) -> tuple[int, list[str]]:
         write_csv(left, folder / "trajectory-left.csv")
@@ -285,9 +285,9 @@ def test_owners_go_by_exact_names(picker, names):
     for name in names:
         assert all(cell.owner(f"{name}_{link}") == name for link in own)
     assert cell.owner("a_post") is cell.owner("base_link") is cell.owner(f"{names[0]}_") is None
-    assert cell.blocking("a_post") is cell.blocking(f"{names[0]}_hand") is None
-    solids = list(cells.standing(cell, names[0], 0.0))
-    assert {cell.blocking(solid.name) for solid in solids} == {names[1]}
+    assert cell.arm_behind("a_post") is cell.arm_behind(f"{names[0]}_hand") is None
+    solids = list(cells.iterate_standing(cell, names[0], 0.0))
+    assert {cell.arm_behind(solid.name) for solid in solids} == {names[1]}
     assert plan_cell(cell, QUICK).certificate.verified
 
 
@@ -349,7 +349,7 @@ def test_links_that_touch_by_design_are_declared_and_reported(write, tmp_path, c
     assert main(["certify", str(out), scene, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["may_touch"] == declared
     cell = load_cell(scene)
-    assert {solid.name.rpartition(" ")[0] for solid in cells.standing(cell, "a", 0.0)} == {"b_column", "b_arm"}
+    assert {solid.name.rpartition(" ")[0] for solid in cells.iterate_standing(cell, "a", 0.0)} == {"b_column", "b_arm"}
     without = load_cell(write("without.yaml", PLATES.partition("may_touch")[0]))
     files = {name: read_csv(out / f"trajectory-{name}.csv") for name in ("a", "b")}
     assert not certify_cell(without, files).verified

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hplan.workcell.timetable import _soonest
+from hplan.workcell.timetable import _fastest_progress
 
 
 def least_steps(clear, first, then) -> int | None:
@@ -30,7 +30,7 @@ def test_two_are_done_as_soon_as_any_waits_allow(n, m, seed):
     rng = np.random.default_rng(seed)
     clear, first, then = rng.random((n, m)) > 0.3, rng.random(n) > 0.5, rng.random(m) > 0.5
     first[-1] = then[-1] = True
-    way, least = _soonest(clear, first, then), least_steps(clear, first, then)
+    way, least = _fastest_progress(clear, first, then), least_steps(clear, first, then)
     if least is None:
         assert not len(way)
         return

@@ -1,4 +1,4 @@
-"""Subcommands `plan`, `tour` and `certify` for workcells, scenes with several robots.
+"""Subcommands `plan`, `tour` and `certify_cell_motion` for workcells, scenes with several robots.
 
 A plan or tour is one motion of all arms, written as one CSV of all joints and one CSV for each arm.
 """
@@ -24,11 +24,11 @@ from hplan.apps.cli.job_folder import (
 from hplan.apps.cli.options import OF_PLANS, check_output_file, check_tracking, plan_options, refuse, tracking_of
 from hplan.apps.cli.terminal import (
     FAILED,
-    certificate_words,
+    describe_certificate,
     escape,
     facts_table,
     hand_out,
-    loading,
+    pause_garbage_collection,
     progress_line,
     show,
     uncovered_rows,
@@ -72,7 +72,7 @@ _OF_ONE_ROBOT = (
         "csv",
     ),
 )
-_REFUSED = "no value: the scene has several robots, each with its own"
+_NO_SINGLE_ROBOT = "no value: the scene has several robots, each with its own"
 
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tour: bool = False) -> int:
@@ -86,14 +86,14 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
     Returns:
         The exit status.
     """
-    refuse(arguments, _OF_ONE_ROBOT, _REFUSED)
+    refuse(arguments, _OF_ONE_ROBOT, _NO_SINGLE_ROBOT)
     csv, name = (TOUR, TOUR_REPORT) if tour else (TRAJECTORY, REPORT)
     of_arm = csv.replace(".csv", "-{}.csv")
     folder = JobFolder(arguments, (csv, of_arm.format("*"), PAGE, MCAP), name)
     needs_rosbags(arguments)
     with progress_line(errors, quiet=arguments.quiet) as progress:
         progress("reading robots and scene")
-        with loading():
+        with pause_garbage_collection():
             from hplan.planning.report import write_report
             from hplan.tour.cell_tour import plan_cell_tour
             from hplan.workcell.cell import load_cell
@@ -108,7 +108,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
             milliseconds = 1e3 * (time.perf_counter() - begin)
             motions = {csv: result.trajectory}
             motions |= {of_arm.format(arm): own for arm, own in result.trajectories.items()}
-            with folder.filling() as staging:
+            with folder.stage_files() as staging:
                 files = [*motions, name, *write_result(result, motions, staging, mcap=arguments.mcap)]
                 report = {"status": "ok", "scene": cell.scene.name, "robots": {a.name: a.robot.name for a in cell.arms}}
                 write_report(report | result.report | {"time_ms": milliseconds}, staging / name)
@@ -118,13 +118,13 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
     return 0
 
 
-def certify(arguments: argparse.Namespace, console: Console) -> int:
+def certify_cell_motion(arguments: argparse.Namespace, console: Console) -> int:
     """Certify a motion of a workcell; return the exit status.
 
     The motion is one CSV of all joints, or a folder with a `trajectory-NAME.csv` for each arm.
     """
-    refuse(arguments, _OF_ONE_ROBOT, _REFUSED)
-    with loading():
+    refuse(arguments, _OF_ONE_ROBOT, _NO_SINGLE_ROBOT)
+    with pause_garbage_collection():
         from hplan.planning.options import PlanOptions
         from hplan.planning.report import certificate_report, versions
         from hplan.trajectory.trajectory import read_csv
@@ -156,7 +156,7 @@ def certify(arguments: argparse.Namespace, console: Console) -> int:
 def _show_certificate(console: Console, scene: str, found: CellCertificate) -> None:
     distances = {"between arms": found.between, **found.arms}
     facts = [
-        ("certificate", certificate_words(found.verified)),
+        ("certificate", describe_certificate(found.verified)),
         *(("", violation) for violation in found.violations),
         *uncovered_rows(found.between.uncovered_links),
         ("clearance", ", ".join(f"{name} {at_least_mm(own.min_clearance_m)} mm" for name, own in distances.items())),
@@ -196,7 +196,7 @@ def _facts(result: CellResult | CellTour, milliseconds: float, files: str) -> It
         for name, d in distances.items()
     )
     yield "clearance", ", ".join(shown) + " or more, proved for all times"
-    yield "certificate", certificate_words(report["verified"])
+    yield "certificate", describe_certificate(report["verified"])
     between = result.certificate.between if isinstance(result, CellResult) else result.between
     yield from uncovered_rows(between.uncovered_links)
     yield from _may_touch(result.cell.scene.may_touch)

@@ -26,11 +26,11 @@ from hplan.apps.cli.options import (
 )
 from hplan.apps.cli.terminal import (
     FAILED,
-    certificate_words,
+    describe_certificate,
     escape,
     facts_table,
     hand_out,
-    loading,
+    pause_garbage_collection,
     percent,
     risk_words,
     show,
@@ -42,7 +42,7 @@ from hplan.base.units import at_least_mm
 if TYPE_CHECKING:
     from rich.console import Console
 
-_EXIT_STATUS = """\
+_CERTIFY_STATUS = """\
 exit status:
   0  certified
   2  bad input
@@ -52,7 +52,7 @@ exit status:
 
 def parser(prog: str) -> argparse.ArgumentParser:
     """Return the argument parser of the subcommand."""
-    parser = command_parser(__doc__, _EXIT_STATUS, prog=prog)
+    parser = command_parser(__doc__, _CERTIFY_STATUS, prog=prog)
     add = parser.add_argument
     add("trajectory", type=Path, help="trajectory CSV, or output folder of a plan")
     add_shared(parser, "scene", "robot", "parts", "contacts", "tracking", "sigmas", "risk")
@@ -82,11 +82,11 @@ def parser(prog: str) -> argparse.ArgumentParser:
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Certify, compare with the report and print; return the exit status."""
     if arguments.scene is not None and names_robots(arguments.scene):
-        from hplan.apps.cli.cell import certify as certify_cell
+        from hplan.apps.cli.cell import certify_cell_motion as certify_cell
 
         _fill_in(arguments, None)
         return certify_cell(arguments, console)
-    with loading():
+    with pause_garbage_collection():
         from hplan.certificate.certificate import certify
         from hplan.planning.options import PlanOptions
         from hplan.planning.report import certificate_report, far_report, versions
@@ -121,7 +121,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         interpolation=arguments.interpolation,
         velocity_jumps=arguments.velocity_jumps,
     )
-    differs = [] if job is None else job.differing(certificate.digests)
+    differs = [] if job is None else job.list_differences(certificate.digests)
     report = {
         "status": "ok" if certificate.verified and not differs else "failed",
         "scene": scene.name,
@@ -133,7 +133,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         "versions": versions(),
     }
     error = TrackingModel(tracking.still_rad).summary(robot.slides)
-    hand_out(arguments, console, report, lambda: _show(console, report, error))
+    hand_out(arguments, console, report, lambda: _show_certificate(console, report, error))
     return 0 if report["status"] == "ok" else FAILED
 
 
@@ -156,11 +156,11 @@ def _fill_in(arguments: argparse.Namespace, job: FinishedJob | None) -> None:
             setattr(arguments, name, value)
 
 
-def _show(console: Console, report: dict[str, Any], error: str) -> None:
+def _show_certificate(console: Console, report: dict[str, Any], error: str) -> None:
     """Print the certificate in at most 80 columns, unless names are long."""
     proof, table = report["certificate"], facts_table()
     clearance = "inf" if proof["nearest"] is None else at_least_mm(proof["min_clearance_m"], 3)
-    table.add_row("certificate", certificate_words(proof["verified"]))
+    table.add_row("certificate", describe_certificate(proof["verified"]))
     for violation in proof["violations"]:
         table.add_row("", escape(violation))
     for row in uncovered_rows(proof.get("uncovered_links", ())):

@@ -19,7 +19,7 @@ import numpy as np
 
 from hplan.base.child_process import import_environment, python_module
 from hplan.base.kernels import can_be_kept, is_kept
-from hplan.optimization.interior_point import solve
+from hplan.optimization.interior_point import solve_program
 
 if TYPE_CHECKING:
     from hplan.base.arrays import FloatArray
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 def is_first_run() -> bool:
     """True if a basic kernel has no current version on disk."""
-    return not is_kept(solve)
+    return not is_kept(solve_program)
 
 
 @contextmanager
@@ -44,7 +44,7 @@ def compiling_ahead(first_run: bool) -> Iterator[Callable[[], None]]:
         A function to call after the grid search: it compiles the certificate's kernels, or does nothing without the
         second process.
     """
-    useful = first_run and can_be_kept(solve) and len(os.sched_getaffinity(0)) > 1
+    useful = first_run and can_be_kept(solve_program) and len(os.sched_getaffinity(0)) > 1
     other = _start() if useful else None
     try:
         yield compile_certificate if other is not None else lambda: None
@@ -83,7 +83,7 @@ def compile_certificate() -> None:
     from hplan.trajectory.spline import SplinePath
 
     problem, waypoints = _reference()
-    certificate_of(problem, timed(problem, SplinePath.through(waypoints)))
+    certificate_of(problem, timed(problem, SplinePath.from_control_points(waypoints)))
 
 
 def _reference() -> tuple[Problem, FloatArray]:
@@ -98,7 +98,7 @@ def _reference() -> tuple[Problem, FloatArray]:
     waypoints = np.stack([start, start, goal, goal])
     # Elbow and wrist fold while the shoulder turns, so that the path avoids the ball of the reference scene [deg].
     waypoints[1:3, -2:] = np.radians((80.0, 80.0))
-    return Problem.of(load_robot(), scene, PlanOptions()).between(start, goal), waypoints
+    return Problem.from_scene(load_robot(), scene, PlanOptions()).from_configurations(start, goal), waypoints
 
 
 if __name__ == "__main__":

@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     robot = robot_of(arguments, scene)
     plant = Plant(arguments.mass_factor, 1e-3 * arguments.command_delay, arguments.bandwidth)
     result = execute(robot, scene, motion, plant)
-    _show(console, arguments.trajectory, scene, result)
+    _show_execution(console, arguments.trajectory, scene, result)
     tracking = tracking_of(arguments)
     if not tracking.is_exact:
         kept = "no joint was" if result.is_within(tracking) else "[bold red]some joint was[/]"
@@ -88,7 +88,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     return parser
 
 
-def _show(console: Console, path: Path, scene: Scene, result: Execution) -> None:
+def _show_execution(console: Console, path: Path, scene: Scene, result: Execution) -> None:
     """Print errors and torques of each joint, contacts and the verdict."""
     from hplan.base.units import joint_unit
 

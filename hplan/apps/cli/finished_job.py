@@ -89,9 +89,9 @@ class FinishedJob:
 
     def trajectory(self) -> Trajectory:
         """Read the job's motion, joining the legs of a tour."""
-        from hplan.trajectory.trajectory import joined, read_csv
+        from hplan.trajectory.trajectory import join_trajectories, read_csv
 
-        return joined([read_csv(path) for path in self.trajectory_paths])
+        return join_trajectories([read_csv(path) for path in self.trajectory_paths])
 
     def playback(self, trajectory: Trajectory) -> Playback:
         """Return the motion, with the report's times and phases, for playback.
@@ -195,7 +195,7 @@ class FinishedJob:
             raise self._fault("its clearance over time has lists of different lengths")
         return ClearanceCurve(time, clearance, distance, nearest, pairs)
 
-    def differing(self, digests: Digests | None) -> list[str]:
+    def list_differences(self, digests: Digests | None) -> list[str]:
         """Names among robot, scene and trajectory whose digests differ from the report's."""
         saved = self.report["certificate"]["digests"]
         return [] if digests is None else [what for what, digest in vars(digests).items() if saved.get(what) != digest]

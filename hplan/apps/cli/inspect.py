@@ -196,10 +196,10 @@ def draw_arm(robot: Robot) -> Figure:
     """
     import numpy as np
 
-    from hplan.apps.view.figures import LINKS, new_figure, styled
+    from hplan.apps.view.figures import LINKS, apply_style, new_figure
     from hplan.robot.inspection import shape_triangles
 
-    @styled
+    @apply_style
     def draw() -> Figure:
         from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 

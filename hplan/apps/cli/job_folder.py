@@ -28,7 +28,7 @@ from hplan.apps.cli.own_files import REPORT as REPORT
 from hplan.apps.cli.own_files import ROW_REPORT as ROW_REPORT
 from hplan.apps.cli.own_files import TOUR_REPORT as TOUR_REPORT
 from hplan.base.files import REPORT_FORMAT, ByteBudget, check_replaceable, inputs, note_input, write_text
-from hplan.base.interrupts import INTERRUPTS, signal_of, uninterrupted
+from hplan.base.interrupts import INTERRUPTS, defer_signals, signal_of
 from hplan.errors import HplanError, InputError, OptionError, OutputError
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ _STAGING = ".hplan-job-"
 _OPTIONAL = (MCAP, CSPACE_PAGE, CSPACE_FIGURE, "row.png")
 
 #: Output folder of the running command.
-_CURRENT: ContextVar[JobFolder | None] = ContextVar("job_folder", default=None)
+_CURRENT_FOLDER: ContextVar[JobFolder | None] = ContextVar("job_folder", default=None)
 
 
 class JobFolder:
@@ -87,7 +87,7 @@ class JobFolder:
         #: Whether the folder has a report of how this job ended.
         self._is_settled = False
         _note_inputs(arguments)
-        _CURRENT.set(self)
+        _CURRENT_FOLDER.set(self)
 
     @contextmanager
     def job(self, scene: str, robot: str) -> Iterator[None]:
@@ -124,7 +124,7 @@ class JobFolder:
             raise
 
     @contextmanager
-    def filling(self) -> Iterator[Path]:
+    def stage_files(self) -> Iterator[Path]:
         """Yield a staging folder; move its files into place on exit.
 
         The report receives the SHA-256 of the other files, so that hplan can later recognize them as its own.
@@ -136,7 +136,7 @@ class JobFolder:
         moved: list[Path] = []
         try:
             try:
-                with uninterrupted():
+                with defer_signals():
                     self._clear()  # so that no trajectory is ever next to the report of another job
                 staging.mkdir()
                 yield staging
@@ -149,7 +149,7 @@ class JobFolder:
                 if self._report in {file.name for file in made}:
                     content = {FORMAT_KEY: REPORT_FORMAT} | json.loads(report.read_bytes()) | {WRITTEN: digests}
                     report.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-                with uninterrupted():
+                with defer_signals():
                     moved.extend(file.replace(self.path / file.name) for file in made)
                     self._is_settled = True
             except OutputError as error:
@@ -158,15 +158,15 @@ class JobFolder:
                 name = Path(error.filename or staging).name
                 raise OutputError(self.path / name, error.strerror or str(error)) from error
         except BaseException:
-            with uninterrupted():
+            with defer_signals():
                 for file in () if self._is_settled else moved:
                     file.unlink(missing_ok=True)
             raise
         finally:
-            with uninterrupted():
+            with defer_signals():
                 shutil.rmtree(staging, ignore_errors=True)
 
-    def interrupted(self, error: BaseException) -> None:
+    def report_interrupt(self, error: BaseException) -> None:
         """Write the report of a job interrupted before it began.
 
         The files of an earlier job are removed. Nothing changes if the job's files are inputs of the command or if
@@ -174,7 +174,7 @@ class JobFolder:
         """
         if self._is_settled:
             return
-        with uninterrupted():
+        with defer_signals():
             try:
                 if any(map(self._is_input, self._files)):
                     return
@@ -237,7 +237,7 @@ class JobFolder:
 
         After an internal error (neither an `HplanError` nor a signal) no report is written.
         """
-        with uninterrupted():
+        with defer_signals():
             self._clear()
             path = self.path / self._report
             if isinstance(error, HplanError):
@@ -256,16 +256,16 @@ class JobFolder:
 @contextmanager
 def reporting_interrupts() -> Iterator[None]:
     """Context in which a signal leaves a report in the command's folder."""
-    token = _CURRENT.set(None)
+    token = _CURRENT_FOLDER.set(None)
     try:
         yield
     except INTERRUPTS as error:
-        folder = _CURRENT.get()
+        folder = _CURRENT_FOLDER.get()
         if folder is not None:
-            folder.interrupted(error)
+            folder.report_interrupt(error)
         raise
     finally:
-        _CURRENT.reset(token)
+        _CURRENT_FOLDER.reset(token)
 
 
 def _note_inputs(arguments: argparse.Namespace) -> None:
@@ -378,7 +378,7 @@ def prepare_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / f".hplan-{secrets.token_hex(8)}"
-        with uninterrupted():
+        with defer_signals():
             probe.touch()
             probe.unlink()
     except FileExistsError as error:

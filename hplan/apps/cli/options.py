@@ -182,7 +182,7 @@ def scene_among(
         are inside the pedestal or turret. The names are printed too. Empty if nothing was removed.
     """
     if arguments.yield_links is not None:
-        scene = scene.with_(yield_links=tuple(arguments.yield_links))
+        scene = scene.with_values(yield_links=tuple(arguments.yield_links))
     if not arguments.drop_inside:
         return scene, {}
     from hplan.planning.world import without_inside

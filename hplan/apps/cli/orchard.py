@@ -134,15 +134,15 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     from hplan.scene.file import save_scene
 
     out: Path = arguments.out
-    scene = _made(arguments, console)
+    scene = _generate_scene(arguments, console)
     check_output_file(out, force=arguments.force)
     save_scene(scene, out)
     if not arguments.quiet:
-        _show(console, scene, out)
+        _show_orchard(console, scene, out)
     return 0
 
 
-def _made(arguments: argparse.Namespace, console: Console) -> Scene:
+def _generate_scene(arguments: argparse.Namespace, console: Console) -> Scene:
     """Generate the scene of the arguments."""
     from hplan.scene.orchard import SHIPPED, FruitZone, MeasuredOptions, OrchardOptions, generate, measured_orchard
     from hplan.scene.orchard.options import REACHED
@@ -161,11 +161,11 @@ def _made(arguments: argparse.Namespace, console: Console) -> Scene:
         wanted |= {"yaw_deg": arguments.turn, "height": arguments.height}
         if arguments.fruit_heights is not None or arguments.fruit_reach is not None:
             wanted["fruit_zone"] = _zone(arguments, FruitZone())
-        return _beside_base(measured_orchard(arguments.files, MeasuredOptions(**_given(wanted)), **start), console)
+        return _beside_base(measured_orchard(arguments.files, MeasuredOptions(**_drop_unset(wanted)), **start), console)
     refuse(arguments, _MEASURED, "no value without --import, as it is for measured trees")
     wanted |= {option: getattr(arguments, option) for option in _GROWN}
     wanted["fruit_zone"] = _zone(arguments, REACHED.get(arguments.robot, OrchardOptions.fruit_zone))
-    return generate(OrchardOptions(**_given(wanted)), **start)
+    return generate(OrchardOptions(**_drop_unset(wanted)), **start)
 
 
 def _beside_base(scene: Scene, console: Console) -> Scene:
@@ -181,7 +181,7 @@ def _beside_base(scene: Scene, console: Console) -> Scene:
     return scene.copy_unchecked({"fruits": fruit_alone.fruits, "goal": fruit_alone.goal})
 
 
-def _given(options: dict[str, Any]) -> dict[str, Any]:
+def _drop_unset(options: dict[str, Any]) -> dict[str, Any]:
     """Options whose value is not None."""
     return {option: value for option, value in options.items() if value is not None}
 
@@ -194,7 +194,7 @@ def _zone(arguments: argparse.Namespace, usual: FruitZone) -> FruitZone:
     return FruitZone(low, high, usual.reach if arguments.fruit_reach is None else arguments.fruit_reach)
 
 
-def _show(console: Console, scene: Scene, out: Path) -> None:
+def _show_orchard(console: Console, scene: Scene, out: Path) -> None:
     """Print a summary in at most 80 columns, unless names are long."""
     heights = [fruit.center[2] for fruit in scene.fruits]
     facts = (

@@ -27,7 +27,7 @@ FORMAT_KEY: Final = "format"
 WRITTEN: Final = "written"
 
 #: Maximum size of a file that is read to determine its owner [bytes].
-_MOST_BYTES: Final = 256_000_000
+_MOST_FILE_BYTES: Final = 256_000_000
 
 #: Reason in the error about a file that is not replaced.
 NOT_OURS: Final = "hplan did not write it, or it was changed since; choose another file, or replace it with --force"
@@ -50,7 +50,7 @@ def check_own(path: Path, *, force: bool) -> None:
 def is_own(path: Path) -> bool:
     """True if hplan wrote the file and its content is unchanged."""
     try:
-        content = ByteBudget(_MOST_BYTES).read(path, is_input=False)
+        content = ByteBudget(_MOST_FILE_BYTES).read(path, is_input=False)
     except (OSError, ValueError):
         return False
     if not content:
@@ -59,7 +59,7 @@ def is_own(path: Path) -> bool:
     if digest == recorded:
         return True
     if path.suffix == ".json":
-        return _is_report(_mapping(content))
+        return _is_report(_parse_json_object(content))
     if path.suffix == ".csv" and recorded is None:
         return _is_trajectory(path, content)
     return is_marked(content)
@@ -70,7 +70,7 @@ def recorded_digests(folder: Path) -> dict[str, str]:
     found: dict[str, str] = {}
     for name in (REPORT, TOUR_REPORT, ROW_REPORT, STUDY_REPORT):
         try:
-            report = _mapping(ByteBudget(_MOST_BYTES).read(folder / name, is_input=False))
+            report = _parse_json_object(ByteBudget(_MOST_FILE_BYTES).read(folder / name, is_input=False))
         except (OSError, ValueError):
             continue
         written = report.get(WRITTEN)
@@ -84,7 +84,7 @@ def digests_of(files: list[Path]) -> dict[str, str]:
     return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 
 
-def _mapping(content: bytes) -> dict[str, Any]:
+def _parse_json_object(content: bytes) -> dict[str, Any]:
     """Parse a JSON object; empty if the content is anything else."""
     try:
         found = json.loads(content.decode("utf-8-sig"))

@@ -33,10 +33,10 @@ from hplan.apps.cli.options import (
     scene_among,
 )
 from hplan.apps.cli.terminal import (
-    certificate_words,
+    describe_certificate,
     escape,
     facts_table,
-    loading,
+    pause_garbage_collection,
     percent,
     progress_line,
     risk_words,
@@ -88,7 +88,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
 
         return run_cell(arguments, console, errors)
     folder = JobFolder(arguments, PLAN_FILES, REPORT)
-    result, files = _made(arguments, folder, errors)
+    result, files = _plan_and_write(arguments, folder, errors)
     if not arguments.quiet:
         show_summary(console, result, folder.path, files)
     if arguments.view:
@@ -142,11 +142,11 @@ def parser(prog: str) -> argparse.ArgumentParser:
     return parser
 
 
-def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> tuple[PlanResult, list[str]]:
+def _plan_and_write(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> tuple[PlanResult, list[str]]:
     """Load, plan and write; return the plan and its file names."""
     with progress_line(errors, quiet=arguments.quiet, kernels=KERNELS) as status:
         status("reading robot and scene")
-        with loading():
+        with pause_garbage_collection():
             from hplan.errors import OptionError
             from hplan.planning.plan import with_export_time
             from hplan.planning.report import curve_report, write_report
@@ -170,10 +170,10 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
             status(STAGE_WORDS.get(stage, stage))
 
         with folder.job(scene.name, robot.name):
-            result = _planned(robot, scene, options, progress)
+            result = _plan_and_compile(robot, scene, options, progress)
             progress("export")
             begin = time.perf_counter()
-            with folder.filling() as staging:
+            with folder.stage_files() as staging:
                 files = write_result(result, {TRAJECTORY: result.trajectory}, staging, mcap=arguments.mcap)
                 if specialist is not None:
                     files += _write_cspace(*specialist.draw_cspace(result, options, yaw), staging, errors)
@@ -182,7 +182,7 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
     return result, [TRAJECTORY, REPORT, *files]
 
 
-def _planned(robot: Robot, scene: Scene, options: PlanOptions, progress: Callable[[str], None]) -> PlanResult:
+def _plan_and_compile(robot: Robot, scene: Scene, options: PlanOptions, progress: Callable[[str], None]) -> PlanResult:
     """Plan; on a first run another process compiles the last kernels meanwhile."""
     from hplan.apps.cli.compile_ahead import compiling_ahead, is_first_run
     from hplan.online.warm_up import warm_up
@@ -269,7 +269,7 @@ def show_summary(console: Console, result: PlanResult, folder: Path, files: Sequ
         add("nearest", f"{pair}, {1e3 * nearest['distance_m']:.2f} mm")
     if "risk" in proof:
         add("risk", risk_words(proof["risk"]))
-    add("certificate", certificate_words(proof["verified"]))
+    add("certificate", describe_certificate(proof["verified"]))
     for violation in proof["violations"]:
         add("", escape(violation))
     for row in uncovered_rows(proof.get("uncovered_links", ())):

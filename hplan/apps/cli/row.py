@@ -13,7 +13,15 @@ from typing import TYPE_CHECKING
 
 from hplan.apps.cli.job_folder import PAGE, ROW_REPORT, JobFolder, write_figure, write_result
 from hplan.apps.cli.options import add_shared, command_parser, plan_options, robot_of
-from hplan.apps.cli.terminal import certificate_words, escape, facts_table, number_table, percent, progress_line, show
+from hplan.apps.cli.terminal import (
+    describe_certificate,
+    escape,
+    facts_table,
+    number_table,
+    percent,
+    progress_line,
+    show,
+)
 from hplan.base.units import at_least_mm
 
 if TYPE_CHECKING:
@@ -91,13 +99,13 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     """Plan, write the files and print a summary; return the exit status."""
     folder = JobFolder(arguments, ("stop-[0-9]*.csv", "stop-[0-9]*.html", PAGE, FIGURE), ROW_REPORT)
     with progress_line(errors, quiet=arguments.quiet) as progress:
-        result, files = _made(arguments, folder, errors, progress)
+        result, files = _plan_row_and_write(arguments, folder, errors, progress)
     if not arguments.quiet:
-        _show(console, result, f"{folder.path}: {files[0]}, ..., {', '.join(files[-3:])}")
+        _show_row(console, result, f"{folder.path}: {files[0]}, ..., {', '.join(files[-3:])}")
     return 0
 
 
-def _made(
+def _plan_row_and_write(
     arguments: argparse.Namespace, folder: JobFolder, errors: Console, progress: Callable[[str], None]
 ) -> tuple[RowResult, list[str]]:
     """Load, plan and write; return the result and its file names."""
@@ -123,7 +131,7 @@ def _made(
         progress("writing files")
         digits = max(2, len(str(len(result.stops))))
         names = [f"stop-{number:0{digits}}" for number in range(1, len(result.stops) + 1)]
-        with folder.filling() as staging:
+        with folder.stage_files() as staging:
             for name, stop in zip(names, result.stops, strict=True):
                 write_result(stop.tour, {f"{name}.csv": stop.tour.trajectory}, staging, page=f"{name}.html")
             write_marked(staging / PAGE, _index(result, names), HTML_COMMENT)
@@ -149,7 +157,7 @@ def _index(result: RowResult, names: list[str]) -> str:
     )
 
 
-def _show(console: Console, result: RowResult, files: str) -> None:
+def _show_row(console: Console, result: RowResult, files: str) -> None:
     """Print the stops and the totals in at most 80 columns."""
     report = result.report
     rows = []
@@ -180,7 +188,7 @@ def _show(console: Console, result: RowResult, files: str) -> None:
         ("time", f"{report['total_s']:.1f} s: {parts}"),
         ("per fruit", f"{report['motion_s_per_fruit']:.2f} s of motion, [bold]{with_drive}[/]"),
         ("per hour", f"{report['fruit_per_hour']:.0f} fruits"),
-        ("certificate", certificate_words(all(stop["verified"] for stop in report["stops"]))),
+        ("certificate", describe_certificate(all(stop["verified"] for stop in report["stops"]))),
         ("files", escape(files)),
     ]
     show(console, report["scene"], report["robot"], number_table(headings, rows), facts_table(facts, 0))

@@ -17,7 +17,7 @@ from hplan.apps.cli.options import OUT, add_shared, command_parser
 from hplan.apps.cli.own_files import STUDY_REPORT, WRITTEN, check_own, digests_of
 from hplan.apps.cli.terminal import escape, number_table, percent, progress_line
 from hplan.base.arguments import instance
-from hplan.base.interrupts import INTERRUPTS, signal_of, uninterrupted
+from hplan.base.interrupts import INTERRUPTS, defer_signals, signal_of
 from hplan.base.lazy_import import extra
 from hplan.errors import InputError
 
@@ -96,20 +96,20 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
             )
         except INTERRUPTS as error:
             # Keep the rows written until now: the next run resumes with them.
-            with uninterrupted():
+            with defer_signals():
                 (out / FIGURE).unlink(missing_ok=True)
                 ended = {"status": "interrupted", "study": study.name, "signal": signal_of(error).name}
                 write_report({**ended, "versions": versions()}, out / STUDY_REPORT)
             raise
         report = {"status": "ok", "study": study.name, "measured": result.measured, "seconds": result.seconds}
-        with uninterrupted():
+        with defer_signals():
             figure = write_figure(lambda: draw_study(result), out / FIGURE, errors)
             written = digests_of([out / name for name in figure])
             rest = {"choices": list(map(asdict, result.choices)), "versions": versions(), WRITTEN: written}
             write_report({**report, **rest}, out / STUDY_REPORT)
         files = [ROWS, STUDY_REPORT, *figure]
     if not arguments.quiet:
-        _show(console, result, f"{arguments.out}: {', '.join(files)}")
+        _show_study(console, result, f"{arguments.out}: {', '.join(files)}")
     return 0
 
 
@@ -127,7 +127,7 @@ def _executor(address: str | None) -> Pool | None:
         raise InputError(f"--scheduler {address}: {error}", scheduler=address) from error
 
 
-def _show(console: Console, result: StudyResult, files: str) -> None:
+def _show_study(console: Console, result: StudyResult, files: str) -> None:
     """Print one line for each choice; a star marks the Pareto front."""
     console.print(f"\n[bold]{escape(result.name)}[/], {len(result.rows)} designs\n")
     cells: dict[str, Callable[[Choice], str]] = {

@@ -147,7 +147,7 @@ def _warning_on(console: Console) -> Iterator[None]:
 
 
 @contextmanager
-def loading() -> Iterator[None]:
+def pause_garbage_collection() -> Iterator[None]:
     """Context for imports that keeps imported objects out of garbage collection.
 
     Collection is off inside the block; afterwards the objects are frozen (`gc.freeze`), so later collections skip them.
@@ -194,7 +194,7 @@ def progress_line(console: Console, *, quiet: bool, kernels: int | None = None) 
         if status is not None:
             status.update(words[:_WIDTH])
 
-    def compiling(_: str, number: int) -> None:
+    def show_compiling(_: str, number: int) -> None:
         nonlocal told_s
         seconds = time.monotonic() - begin
         words = f"kernel {number}{of}, {seconds:.0f} s"
@@ -204,12 +204,12 @@ def progress_line(console: Console, *, quiet: bool, kernels: int | None = None) 
             told_s = time.monotonic()
             console.print(f"compiling (first run only): {words}")
 
-    LISTENERS.append(compiling)
+    LISTENERS.append(show_compiling)
     try:
         with contextlib.nullcontext() if status is None else status:
             yield show
     finally:
-        LISTENERS.remove(compiling)
+        LISTENERS.remove(show_compiling)
 
 
 def escape(text: object) -> str:
@@ -290,7 +290,7 @@ def risk_words(risk: dict[str, Any]) -> str:
     return f"at most {risk['bound']:.2g}, allowed {risk['asked']:g}{whose}\n{seen}"
 
 
-def certificate_words(verified: bool) -> str:
+def describe_certificate(verified: bool) -> str:
     """The verdict of a certificate, with markup."""
     return "[bold green]verified[/]" if verified else "[bold red]NOT VERIFIED[/]"
 

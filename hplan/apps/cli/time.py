@@ -24,7 +24,7 @@ from hplan.apps.cli.options import (
     refuse,
     robot_of,
 )
-from hplan.apps.cli.terminal import escape, facts_table, loading, number_table, progress_line, show
+from hplan.apps.cli.terminal import escape, facts_table, number_table, pause_garbage_collection, progress_line, show
 from hplan.base.files import is_file
 from hplan.errors import OptionError
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from hplan.trajectory.trajectory import Trajectory
 
 #: Default output file.
-OUT = Path("timed.csv")
+DEFAULT_CSV = Path("timed.csv")
 
 #: Options that require `--scene`, and options that exclude it.
 _WITH_SCENE = (
@@ -137,11 +137,11 @@ def _check_options(arguments: argparse.Namespace) -> None:
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Time the path, write and print the motion; return the exit status."""
     if arguments.scene is None:
-        arguments.out = OUT if arguments.out is None else arguments.out
-        return _timed(arguments, console)
+        arguments.out = DEFAULT_CSV if arguments.out is None else arguments.out
+        return _time_and_write(arguments, console)
     arguments.out = FOLDER if arguments.out is None else arguments.out
     folder = JobFolder(arguments, (*PLAN_FILES, SCENE), REPORT)
-    result, files = _finished(arguments, folder, errors)
+    result, files = _finish_and_write(arguments, folder, errors)
     if not arguments.quiet:
         from hplan.apps.cli.plan import show_summary
 
@@ -149,7 +149,9 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     return 0
 
 
-def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> tuple[PlanResult, list[str]]:
+def _finish_and_write(
+    arguments: argparse.Namespace, folder: JobFolder, errors: Console
+) -> tuple[PlanResult, list[str]]:
     """Retime and certify the path in the scene; write the result.
 
     Returns:
@@ -160,7 +162,7 @@ def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console)
     pose = ("x", "y", "z", "qx", "qy", "qz", "qw")
     with progress_line(errors, quiet=arguments.quiet) as status:
         status("reading robot and scene")
-        with loading():
+        with pause_garbage_collection():
             from hplan.apps.cli.plan import STAGE_WORDS
             from hplan.planning.finish import finish
             from hplan.planning.pose_sequence import plan_poses, pose_matrices
@@ -186,14 +188,14 @@ def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console)
             else:
                 result = finish(robot, scene, waypoints, options, keep_within_rad=within_rad, progress=progress)
             status("writing files")
-            with folder.filling() as staging:
+            with folder.stage_files() as staging:
                 files = write_result(result, {TRAJECTORY: result.trajectory}, staging)
                 save_scene(result.scene, folder.path / SCENE)  # not in staging: it may name files by relative paths
                 write_report(result.report | curve_report(result.certificate), staging / REPORT)
     return result, [TRAJECTORY, REPORT, *files, SCENE]
 
 
-def _timed(arguments: argparse.Namespace, console: Console) -> int:
+def _time_and_write(arguments: argparse.Namespace, console: Console) -> int:
     """Time the path without checking collisions; write the motion."""
     from hplan.robot.dynamics import joints_that_slide
     from hplan.trajectory import read_kinematics, read_waypoints, time_waypoints
@@ -214,7 +216,7 @@ def _timed(arguments: argparse.Namespace, console: Console) -> int:
     )
     write_csv(trajectory, arguments.out)
     if not arguments.quiet:
-        _show(console, arguments, model, held, waypoints, limits, trajectory)
+        _show_motion(console, arguments, model, held, waypoints, limits, trajectory)
     return 0
 
 
@@ -244,7 +246,7 @@ def _limits(arguments: argparse.Namespace, model: pin.Model, held: Collection[st
     return limits_of(model, acceleration, jerk, torque=torque)
 
 
-def _show(
+def _show_motion(
     console: Console,
     arguments: argparse.Namespace,
     model: pin.Model,
@@ -260,7 +262,7 @@ def _show(
     from hplan.robot.dynamics import joints_that_slide
     from hplan.trajectory import AT_LIMIT, largest_deviation, limit_shares
 
-    full, paced = limit_shares(trajectory, limits), limit_shares(trajectory, limits.scaled(arguments.speed))
+    full, paced = limit_shares(trajectory, limits), limit_shares(trajectory, limits.scale(arguments.speed))
     length = float(np.linalg.norm(np.diff(waypoints, axis=0), axis=1).sum())
     slides = joints_that_slide(model)
     samples = "1 sample: no motion" if trajectory.samples == 1 else f"{trajectory.samples:,} samples"

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from hplan.apps.cli.job_folder import MCAP, PAGE, TOUR, TOUR_REPORT, JobFolder, needs_rosbags, write_result
 from hplan.apps.cli.options import add_shared, command_parser, names_robots, plan_options, robot_of, scene_among
 from hplan.apps.cli.terminal import (
-    certificate_words,
+    describe_certificate,
     escape,
     facts_table,
     number_table,
@@ -53,7 +53,7 @@ exit status:
 """
 
 #: Approximate number of kernels that the command calls.
-KERNELS = 80
+TOUR_KERNELS = 80
 
 
 def parser(prog: str) -> argparse.ArgumentParser:
@@ -104,14 +104,14 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
 
         return run_cell(arguments, console, errors, tour=True)
     folder = JobFolder(arguments, (TOUR, "tour-[0-9]*-*.csv", PAGE, MCAP), TOUR_REPORT)
-    with progress_line(errors, quiet=arguments.quiet, kernels=KERNELS) as progress:
-        result, files = _made(arguments, folder, errors, progress)
+    with progress_line(errors, quiet=arguments.quiet, kernels=TOUR_KERNELS) as progress:
+        result, files = _plan_tour_and_write(arguments, folder, errors, progress)
     if not arguments.quiet:
         _show(console, result, folder.path, files)
     return 0
 
 
-def _made(
+def _plan_tour_and_write(
     arguments: argparse.Namespace, folder: JobFolder, errors: Console, progress: Callable[[str], None]
 ) -> tuple[TourResult, list[str]]:
     """Load, plan and write; return the tour and its file names."""
@@ -138,7 +138,7 @@ def _made(
                 f"tour-{number:0{digits}}-{_file_word(leg.name)}.csv": leg.trajectory
                 for number, leg in enumerate(result.legs, start=1)
             }
-        with folder.filling() as staging:
+        with folder.stage_files() as staging:
             files = write_result(result, motions, staging, mcap=arguments.mcap)
             curve = curve_report(result.certificate)
             write_report(result.report | curve | left_out | {"files": list(motions)}, staging / TOUR_REPORT)
@@ -186,11 +186,13 @@ def _show(console: Console, result: TourResult, folder: Path, files: Sequence[st
     The output fits 80 columns, unless names are long.
     """
     kinds = [
-        kind for kind in ("transit", "approach", "retreat", "drop") if any(_times(leg, kind) for leg in result.legs)
+        kind
+        for kind in ("transit", "approach", "retreat", "drop")
+        if any(_phase_times(leg, kind) for leg in result.legs)
     ]
     rows = []
     for number, leg in enumerate(result.legs, start=1):
-        times = {kind: _times(leg, kind) for kind in kinds}
+        times = {kind: _phase_times(leg, kind) for kind in kinds}
         if leg.fruit is None:
             times["transit"] = leg.trajectory.duration
         clearance = leg.certificate.min_clearance_m
@@ -204,15 +206,21 @@ def _show(console: Console, result: TourResult, folder: Path, files: Sequence[st
             )
         )
     legs = number_table(("", "fruit", *kinds, "picked at", "clearance"), rows, texts=("fruit",))
-    show(console, result.report["scene"], result.report["robot"], legs, facts_table(_facts(result, folder, files), 0))
+    show(
+        console,
+        result.report["scene"],
+        result.report["robot"],
+        legs,
+        facts_table(_tour_facts(result, folder, files), 0),
+    )
 
 
-def _times(leg: Leg, kind: str) -> float:
+def _phase_times(leg: Leg, kind: str) -> float:
     """Total duration of a leg's phases of one kind [s]."""
     return sum(phase.end_s - phase.start_s for phase in leg.phases if phase.name == kind)
 
 
-def _facts(result: TourResult, folder: Path, files: Sequence[str]) -> Iterator[tuple[str, str]]:
+def _tour_facts(result: TourResult, folder: Path, files: Sequence[str]) -> Iterator[tuple[str, str]]:
     """Summary rows of the whole tour."""
     report = result.report
     fruits = len(result.order)
@@ -223,7 +231,7 @@ def _facts(result: TourResult, folder: Path, files: Sequence[str]) -> Iterator[t
     if len(totals) > 1:
         compared = ", ".join(f"{order} {seconds:.2f} s" for order, seconds in totals.items())
         yield "orders", f"{compared} ({report['totals_s']['fruits']} fruits)"
-    yield "certificate", certificate_words(result.certificate.verified)
+    yield "certificate", describe_certificate(result.certificate.verified)
     yield from uncovered_rows(result.certificate.uncovered_links)
     planner = report["planner"]
     yield "time", f"{1e-3 * planner['time_ms']:.1f} s, {planner['motions_planned']} motions planned"

@@ -54,8 +54,8 @@ def warm_up_any_arm() -> None:
     hplan.warm_up(hplan.load_robot(f'{first}xyz="1 0 0"{last}', limits="harvester"))
 
 
-#: Jobs, as commands or functions; each one runs in its own process and folder. The first `_FIRST` compile most of the
-#: kernels that the others share, and therefore run before them.
+#: Jobs, as commands or functions; each one runs in its own process and folder. The first `_FIRST_JOBS` compile most of
+#: the kernels that the others share, and therefore run before them.
 JOBS = {
     "certified motion": "hplan.apps.cli.compile_ahead:compile_from_postprocessing_on",
     "plan": "plan --out a; certify a",
@@ -69,10 +69,10 @@ JOBS = {
 }
 
 #: Approximate number of kernels, checked by `scripts/build_wheel.py`.
-KERNELS = 250
+ALL_KERNELS = 250
 
 #: Number of jobs that run before the others.
-_FIRST = 2
+_FIRST_JOBS = 2
 
 #: Prefix of the line that a job prints for each compiled kernel.
 _COMPILED = "compiled "
@@ -101,7 +101,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
             nonlocal count
             count += kernel is not None
             seconds = time.perf_counter() - begin
-            show(f"kernel {count} of about {KERNELS}, {seconds:.0f} s: {kernel or job}")
+            show(f"kernel {count} of about {ALL_KERNELS}, {seconds:.0f} s: {kernel or job}")
             if kernel is None and not arguments.quiet and not errors.is_terminal:
                 errors.print(f"{job}: done, {count} kernels, {seconds:.0f} s")
 
@@ -155,7 +155,7 @@ def compile_all(
 
     with ThreadPoolExecutor(processes) as pool:
         try:
-            for jobs in (list(JOBS)[:_FIRST], list(JOBS)[_FIRST:]):
+            for jobs in (list(JOBS)[:_FIRST_JOBS], list(JOBS)[_FIRST_JOBS:]):
                 list(pool.map(do, jobs))
         except INTERRUPTS:
             is_ended.set()

@@ -18,7 +18,7 @@ from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray, IntArray, numbers
 from hplan.base.checked import NotNegative, Options, Positive
 from hplan.base.lazy_import import extra
-from hplan.collision.giving_way import pushing_links, yielded
+from hplan.collision.giving_way import maximum_deflection, pushing_links
 from hplan.errors import InputError, RobotFileError
 from hplan.geometry.cloud import Cloud
 from hplan.robot.model import Robot
@@ -86,7 +86,7 @@ def mujoco_model(mujoco: ModuleType, robot: Robot, scene: Scene, *, timestep_s: 
         mesh.file = _mesh_file(mesh.file, robot.urdf_path.parent)
     spec.option.timestep = timestep_s
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    depths = yielded(
+    depths = maximum_deflection(
         robot, scene.solids, scene.yield_links, () if scene.goal_fruit is None else scene.goal_fruit.hangs_from
     )
     pushing = () if depths is None else pushing_links(robot, scene.yield_links)

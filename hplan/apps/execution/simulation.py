@@ -225,10 +225,10 @@ def execute(robot: Robot, scene: Scene, motion: Movement, plant: Plant | None = 
     instance("scene", scene, Scene, "load_scene")
     if not all(hasattr(motion, name) for name in ("joint_names", "time", "position", "velocity")):
         raise OptionError("motion", motion, "a Trajectory, as from plan, or a Motion, as from read_motion")
-    reference = _Reference.of(robot, motion)
+    reference = _Reference.build(robot, motion)
     start, goal = (_joints(robot, scene, which, reference.position[-1]) for which in ("start", "goal"))
     arm = SimulatedArm(robot, scene, plant)
-    return _executed(arm, reference, scene, start, reference.position[-1] if goal is None else goal)
+    return _track_reference(arm, reference, scene, start, reference.position[-1] if goal is None else goal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,7 +241,7 @@ class _Reference:
     bezier: FloatArray
 
     @classmethod
-    def of(cls, robot: Robot, motion: Movement) -> _Reference:
+    def build(cls, robot: Robot, motion: Movement) -> _Reference:
         names = tuple(motion.joint_names)
         if sorted(names) != sorted(robot.joint_names):
             missing = [name for name in robot.joint_names if name not in names]
@@ -263,7 +263,7 @@ class _Reference:
         bezier = motion.segments[0] if isinstance(motion, Trajectory) else hermite_pieces(time, position, velocity)[0]
         return cls(time - time[0], position[:, order], velocity[:, order], bezier[:, :, order])
 
-    def at(self, clock: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def sample(self, clock: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Position, velocity and acceleration at (k,) times, each (k, dof).
 
         After the end of the motion it is the last position at rest.
@@ -276,7 +276,7 @@ class _Reference:
         return np.where(over, self.position[-1], q), np.where(over, 0.0, v), np.where(over, 0.0, a)
 
 
-def _executed(
+def _track_reference(
     arm: SimulatedArm, reference: _Reference, scene: Scene, start: FloatArray | None, goal: FloatArray
 ) -> Execution:
     """Track the reference and hold its end."""
@@ -284,10 +284,10 @@ def _executed(
     duration = float(reference.time[-1])
     ticks = math.ceil(duration / CONTROL_PERIOD - 1e-9) + math.ceil(HOLD / CONTROL_PERIOD)
     clock: FloatArray = CONTROL_PERIOD * np.arange(ticks + 1, dtype=np.float64)
-    q_ref, v_ref, _ = reference.at(clock)
+    q_ref, v_ref, _ = reference.sample(clock)
     # The controller tracks the delayed reference. Until its first sample, extrapolate it at the initial velocity.
     late = clock - plant.command_delay_s
-    q_late, v_late, a_late = reference.at(np.maximum(late, 0.0))
+    q_late, v_late, a_late = reference.sample(np.maximum(late, 0.0))
     q_late = q_late + np.minimum(late, 0.0)[:, None] * v_late
     a_late[late < 0.0] = 0.0
     feed = np.array([arm.feed_forward(*row) for row in zip(q_late, v_late, a_late, strict=True)])
@@ -327,7 +327,7 @@ def _executed(
         peak_torque_nm=tuple(np.abs(torque).max(axis=0).tolist()),
         torque_limit_nm=tuple(limit.tolist()),
         saturated_s=float((np.abs(torque) > limit).any(axis=1).sum() * CONTROL_PERIOD),
-        nearest=_nearest(robot, scene, position),
+        nearest=_nearest_contact(robot, scene, position),
         time=readonly(clock),
         position=readonly(position),
         reference=readonly(q_ref),
@@ -356,11 +356,11 @@ def _joints(robot: Robot, scene: Scene, which: str, end: FloatArray) -> FloatArr
     return robot.check_configuration(robot.turned_near(joints, end) if which == "goal" else joints, which)
 
 
-def _nearest(robot: Robot, scene: Scene, position: FloatArray) -> Contact | None:
+def _nearest_contact(robot: Robot, scene: Scene, position: FloatArray) -> Contact | None:
     """Contact at the minimum distance over all finite configurations.
 
     None without obstacles.
     """
     checker = CoalScene(robot, scene.solids, yield_links=scene.yield_links)
-    found = [contact for q in position if np.isfinite(q).all() and (contact := checker.nearest(q)) is not None]
+    found = [contact for q in position if np.isfinite(q).all() and (contact := checker.nearest_contact(q)) is not None]
     return found[ties.argmin([contact.distance_m for contact in found])] if found else None

@@ -23,7 +23,7 @@ import numpy as np
 import yaml
 
 from hplan.apps.ros.transforms import message_time, seconds_of, time_ns
-from hplan.base.arguments import file_path, instance, list_of, one_of, truth, whole
+from hplan.base.arguments import check_integer, file_path, instance, list_of, one_of, truth
 from hplan.base.arrays import FloatArray, numbers
 from hplan.base.files import write_text
 from hplan.certificate.certificate import REST
@@ -83,7 +83,7 @@ def to_joint_trajectory(
     rows = zip(*(getattr(trajectory, name).tolist() for name in fields.values()), strict=True)
     return {
         "header": header,
-        "joint_names": _names(trajectory, prefix),
+        "joint_names": _joint_names_of(trajectory, prefix),
         "points": [
             {
                 **dict(zip(fields, row, strict=True)),
@@ -137,11 +137,11 @@ def to_joint_state(
             message.
     """
     instance("trajectory", trajectory, Trajectory, "plan or read_csv")
-    row = whole("row", row, 0, trajectory.samples - 1)
+    row = check_integer("row", row, 0, trajectory.samples - 1)
     stamp = time_ns("stamp_s", stamp_s) + time_ns("time", float(trajectory.time[row]))
     return {
         "header": _header(frame_id, stamp),
-        "name": _names(trajectory, prefix),
+        "name": _joint_names_of(trajectory, prefix),
         "position": trajectory.position[row].tolist(),
         "velocity": trajectory.velocity[row].tolist(),
         "effort": trajectory.torque[row].tolist(),
@@ -183,7 +183,7 @@ def from_joint_trajectory(
     """
     if not isinstance(message, Mapping):
         raise OptionError("message", message, "a dict of a JointTrajectory")
-    names = tuple(name.removeprefix(_text("prefix", prefix)) for name in _list(message, "joint_names", str))
+    names = tuple(name.removeprefix(_cell_text("prefix", prefix)) for name in _list(message, "joint_names", str))
     points = _list(message, "points", Mapping)
     order = _order(names, robot)
     time = np.array(
@@ -272,14 +272,14 @@ def _is_empty(row: Any) -> bool:
 
 
 def _header(frame_id: str, stamp_ns: int) -> dict[str, Any]:
-    return {"stamp": message_time(stamp_ns), "frame_id": _text("frame_id", frame_id)}
+    return {"stamp": message_time(stamp_ns), "frame_id": _cell_text("frame_id", frame_id)}
 
 
-def _names(trajectory: Trajectory, prefix: str) -> list[str]:
-    return [_text("prefix", prefix) + name for name in trajectory.joint_names]
+def _joint_names_of(trajectory: Trajectory, prefix: str) -> list[str]:
+    return [_cell_text("prefix", prefix) + name for name in trajectory.joint_names]
 
 
-def _text(option: str, value: str) -> str:
+def _cell_text(option: str, value: str) -> str:
     if not isinstance(value, str):
         raise OptionError(option, value, "text")
     return value

@@ -105,15 +105,15 @@ def scene_markers(scene: Scene, frame_id: str = "base_link") -> list[Marker]:
     markers = list[Marker]()
     for obstacle in scene.obstacles:
         look = look_of(obstacle.name)
-        for marker in _parts(obstacle):
-            top = head(frame_id=frame_of(scene, obstacle, frame_id), ns=_OBSTACLES, number=len(markers))
+        for marker in _marker_parts_of(obstacle):
+            top = head(frame_id=frame_of_obstacle(scene, obstacle, frame_id), ns=_OBSTACLES, number=len(markers))
             markers.append(top | marker | {"color": color(look.color, look.opacity)})
     goal = scene.goal.fruit
-    hanging = [(fruit, frame_of(scene, fruit, frame_id)) for fruit in scene.fruits]
+    hanging = [(fruit, frame_of_obstacle(scene, fruit, frame_id)) for fruit in scene.fruits]
     return [*markers, *(fruit_marker(scene, fruit, frame, is_goal=fruit.name == goal) for fruit, frame in hanging)]
 
 
-def frame_of(scene: Scene, item: Obstacle | Fruit, frame_id: str) -> str:
+def frame_of_obstacle(scene: Scene, item: Obstacle | Fruit, frame_id: str) -> str:
     """Frame of an obstacle or fruit.
 
     It is the item's own frame if the item or the base moves, else `frame_id`.
@@ -136,7 +136,7 @@ def fruit_marker(scene: Scene, fruit: Fruit, frame_id: str, *, is_goal: bool) ->
     )
 
 
-def _parts(obstacle: Obstacle) -> list[Marker]:
+def _marker_parts_of(obstacle: Obstacle) -> list[Marker]:
     """Shapes and poses of the markers that form an obstacle."""
     if isinstance(obstacle, PointCloud):
         return [_balls(solid.core, solid.rounding) for solid in obstacle.solids]

@@ -38,12 +38,12 @@ from hplan.apps.ros import marked_motion as motion
 from hplan.apps.ros import marked_scene as mark
 from hplan.apps.ros.joint_messages import to_joint_state, to_joint_trajectory
 from hplan.apps.ros.marked_scene import Marker, moving_frame, scene_markers
-from hplan.apps.ros.transforms import SECOND_NS, LinkFrames, message_time, robot_description, time_ns, transform
+from hplan.apps.ros.transforms import SECOND_NS, LinkFrames, message_time, robot_description, time_ns, transform_message
 from hplan.apps.view.playback import Playback, playable
 from hplan.apps.view.scenery import picks
-from hplan.base.arguments import between, file_path
+from hplan.base.arguments import check_between, file_path
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.base.files import replacing
+from hplan.base.files import replace_file
 from hplan.base.lazy_import import extra
 from hplan.certificate.retimed_certificate import CertifiedMotion
 from hplan.errors import InputError
@@ -100,7 +100,7 @@ def write_bag(path: Path, topics: Mapping[str, tuple[str, int]], messages: Itera
     """
     interfaces, bags, typesys = import_rosbags()
     # rosbags writes a folder that holds a file of the folder's name.
-    with replacing(path) as new, tempfile.TemporaryDirectory(dir=new.parent, prefix=".hplan-") as folder:
+    with replace_file(path) as new, tempfile.TemporaryDirectory(dir=new.parent, prefix=".hplan-") as folder:
         store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
         encoder = _Encoder(store)
         bag = Path(folder, "motion")
@@ -209,7 +209,7 @@ def write_mcap(
             message.
         OutputError: The file cannot be written.
     """
-    between("rate_hz", rate_hz, 1e-3, 1e5)
+    check_between("rate_hz", rate_hz, 1e-3, 1e5)
     time_ns("stamp_s", stamp_s)
     results = list(result) if isinstance(result, Sequence) else [result]
     played = [playable(each) for each in results]
@@ -254,7 +254,7 @@ class _Recording:
         self.certificate = cast("Certificate", playback.certificate)  # results have one
         self.begin_ns, self.span_s, self.is_first = begin_ns, span_s, is_first
         self.frames = LinkFrames(robot)
-        rows = _rows(self.trajectory.time, rate_hz)
+        rows = _sample_indices(self.trajectory.time, rate_hz)
         times = self.trajectory.time[rows]
         self.rows = rows[(times >= span_s[0]) & (times < span_s[1])]
 
@@ -298,7 +298,7 @@ class _Recording:
             links = frames.message(frames.moving, now)["transforms"]
             moved = {name: pin.SE3(turns[index], shifts[index]) for name, (turns, shifts) in moving.items()}
             others = [
-                transform(frames.root, moving_frame(name), place.rotation, place.translation, now)
+                transform_message(frames.root, moving_frame(name), place.rotation, place.translation, now)
                 for name, place in moved.items()
             ]
             yield Message("/tf", now, {"transforms": [*links, *others]})
@@ -320,7 +320,7 @@ class _Recording:
         return {"markers": [marker | {"header": marker["header"] | {"stamp": stamp}} for marker in markers]}
 
 
-def _rows(time: FloatArray, rate_hz: float) -> IntArray:
+def _sample_indices(time: FloatArray, rate_hz: float) -> IntArray:
     """Indices of samples at about `rate_hz`, the first and last included."""
     ticks = np.arange(0.0, time[-1], 1.0 / rate_hz)
     return np.unique([*np.searchsorted(time, ticks), len(time) - 1])

@@ -121,7 +121,7 @@ def mesh(name: str, vertices: Any, faces: Any, place: pin.SE3, open_meshes: Open
     """
     placement = {"position": tuple(place.translation.tolist()), "rpy_deg": _rpy_deg(place)}
     try:
-        return Mesh.of(name, vertices, faces, **placement)
+        return Mesh.from_arrays(name, vertices, faces, **placement)
     except SceneError:
         if open_meshes == "refuse" or np.max(faces, initial=len(vertices) * (not faces)) >= len(vertices):
             raise
@@ -130,7 +130,7 @@ def mesh(name: str, vertices: Any, faces: Any, place: pin.SE3, open_meshes: Open
         hull = hull_of(points, most=len(points) + 14)
     except ValueError as error:
         raise SceneError("the mesh lies in one plane: it has no hull", where=name) from error
-    return Mesh.of(name, hull.core, hull.faces, **placement)
+    return Mesh.from_arrays(name, hull.core, hull.faces, **placement)
 
 
 def _rpy_deg(place: pin.SE3) -> tuple[float, float, float]:

@@ -78,7 +78,7 @@ def check_parts(message: Mapping[str, Any], world: Mapping[str, Any], where: str
         ("link_padding", _link_fault(message, "link_padding", "padding", 0.0), "link_padding"),
         ("link_scale", _link_fault(message, "link_scale", "scale", 1.0), "link_scale"),
         ("allowed_collision_matrix", _allowed_fault(message, names), "allowed_collision_matrix"),
-        ("octomap", _octomap_fault(world, where), below(where, "octomap")),
+        ("octomap", _octomap_fault(world, where), key_path(where, "octomap")),
         ("is_diff", _diff_fault(message), "is_diff"),
     ):
         if fault and part not in leave_out:
@@ -87,11 +87,11 @@ def check_parts(message: Mapping[str, Any], world: Mapping[str, Any], where: str
 
 def _attached_fault(message: Mapping[str, Any]) -> str:
     where = "robot_state"
-    state = mapping(or_else(message.get(where), {}), where)
+    state = check_mapping(or_else(message.get(where), {}), where)
     where += ".attached_collision_objects"
     for index, item in enumerate(sequence(or_else(state.get("attached_collision_objects"), ()), where)):
-        held = mapping(item, f"{where}[{index}]")
-        name = mapping(or_else(held.get("object"), {}), f"{where}[{index}].object").get("id")
+        held = check_mapping(item, f"{where}[{index}]")
+        name = check_mapping(or_else(held.get("object"), {}), f"{where}[{index}].object").get("id")
         return (
             f"{name!r} is attached to link {held.get('link_name')!r}, and an attached object is not an obstacle; "
             "model it as a part of that link in the URDF"
@@ -103,7 +103,7 @@ def _link_fault(message: Mapping[str, Any], key: str, field: str, neutral: float
     """Fault of a link padding or scale; empty if all are neutral."""
     values = {}
     for index, item in enumerate(sequence(or_else(message.get(key), ()), key)):
-        entry = mapping(item, f"{key}[{index}]")
+        entry = check_mapping(item, f"{key}[{index}]")
         value = entry.get(field, neutral)
         if not is_number(value):
             raise SceneError(f"expected a number, got {value!r}", where=f"{key}[{index}].{field}", value=value)
@@ -122,7 +122,7 @@ def _allowed_fault(message: Mapping[str, Any], names: Collection[Any]) -> str:
     Empty if no such collision is allowed.
     """
     key = "allowed_collision_matrix"
-    matrix = mapping(or_else(message.get(key), {}), key)
+    matrix = check_mapping(or_else(message.get(key), {}), key)
     entries = sequence(or_else(matrix.get("entry_names"), ()), f"{key}.entry_names")
     rows = sequence(or_else(matrix.get("entry_values"), ()), f"{key}.entry_values")
     if rows and len(rows) != len(entries):
@@ -148,8 +148,8 @@ def _allowed_fault(message: Mapping[str, Any], names: Collection[Any]) -> str:
 
 
 def _octomap_fault(world: Mapping[str, Any], where: str) -> str:
-    octomap = mapping(or_else(world.get("octomap"), {}), below(where, "octomap"))
-    inner = mapping(or_else(octomap.get("octomap"), {}), below(where, "octomap.octomap"))
+    octomap = check_mapping(or_else(world.get("octomap"), {}), key_path(where, "octomap"))
+    inner = check_mapping(or_else(octomap.get("octomap"), {}), key_path(where, "octomap.octomap"))
     data = or_else(inner.get("data"), ())
     return NO_OCTOMAP if not is_number(data) and len(data) else ""
 
@@ -175,9 +175,9 @@ class FixedFrames:
         frames = []
         for index, item in enumerate(sequence(or_else(message.get(key), ()), key)):
             where = f"{key}[{index}]"
-            item = mapping(item, where)
+            item = check_mapping(item, where)
             parent, child = frame_of(item, where), _plain(item.get("child_frame_id", ""))
-            place = mapping(or_else(item.get("transform"), {}), f"{where}.transform")
+            place = check_mapping(or_else(item.get("transform"), {}), f"{where}.transform")
             placed = pose_of(place, f"{where}.transform", ("translation", "rotation"))
             frames.append(parent)
             if child in self._parents:
@@ -228,7 +228,7 @@ class FixedFrames:
 
 def frame_of(item: Mapping[str, Any], where: str) -> str:
     """Frame name in the header of an item."""
-    return _plain(mapping(or_else(item.get("header"), {}), f"{where}.header").get("frame_id", ""))
+    return _plain(check_mapping(or_else(item.get("header"), {}), f"{where}.header").get("frame_id", ""))
 
 
 def _plain(frame: Any) -> str:
@@ -249,7 +249,7 @@ def pose_of(content: Any, where: str, keys: tuple[str, str] = ("position", "orie
     Raises:
         SceneError: A value is not a number, a key is unknown, or the quaternion's length is not 1.
     """
-    content = mapping(or_else(content, {}), where)
+    content = check_mapping(or_else(content, {}), where)
     check_keys(content, keys, where)
     position = numbers_of(or_else(content.get(keys[0]), (0.0, 0.0, 0.0)), "xyz", f"{where}.{keys[0]}")
     quaternion = numbers_of(or_else(content.get(keys[1]), (0.0, 0.0, 0.0, 0.0)), "xyzw", f"{where}.{keys[1]}")
@@ -286,7 +286,7 @@ def check_keys(content: Mapping[str, Any], known: Iterable[str], where: str) -> 
     known = tuple(known)
     for key, value in content.items():
         if key not in known and not (value is None or value is False or (hasattr(value, "__len__") and not len(value))):
-            raise SceneError(f"unknown key; expected one of {', '.join(known)}", where=below(where, str(key)))
+            raise SceneError(f"unknown key; expected one of {', '.join(known)}", where=key_path(where, str(key)))
 
 
 def is_map(content: Any) -> bool:
@@ -294,7 +294,7 @@ def is_map(content: Any) -> bool:
     return isinstance(content, Mapping)
 
 
-def mapping(content: Any, where: str) -> Mapping[str, Any]:
+def check_mapping(content: Any, where: str) -> Mapping[str, Any]:
     """Check that a value is a mapping, and return it.
 
     Raises:
@@ -320,7 +320,7 @@ def sequence(content: Any, where: str) -> list[Any] | tuple[Any, ...]:
     return content
 
 
-def below(where: str, key: str) -> str:
+def key_path(where: str, key: str) -> str:
     """Dotted path of a key under another one."""
     return f"{where}.{key}" if where else key
 
@@ -381,14 +381,14 @@ def read_planning_scene(
         message = source
     else:
         path = file_path("source", source)
-        message = _read(path)
+        message = _read_message(path)
     try:
-        return tuple(_obstacles(_World(message, left_out), base, prefix, open_meshes))
+        return tuple(_read_obstacles(_World(message, left_out), base, prefix, open_meshes))
     except SceneError as error:
         raise SceneError(error.reason, path=path, where=error.where, value=error.value) from error
 
 
-def _read(path: Path) -> Mapping[str, Any]:
+def _read_message(path: Path) -> Mapping[str, Any]:
     text = ByteBudget(MOST_SCENE_BYTES).text(path, lambda reason: SceneError(reason, path=path))
     # `ros2 topic echo` ends each message with a line of three hyphens.
     text = re.sub(r"(\n---[ \t\r]*)+\s*\Z", "\n", text)
@@ -410,21 +410,21 @@ class _World:
 
     def __init__(self, message: Mapping[str, Any], leave_out: tuple[str, ...]) -> None:
         self.where = "world" if "world" in message else ""
-        world = mapping(message.get("world", message), self.where)
+        world = check_mapping(message.get("world", message), self.where)
         if "collision_objects" not in world:
-            raise SceneError("this key is missing", where=below(self.where, "collision_objects"))
+            raise SceneError("this key is missing", where=key_path(self.where, "collision_objects"))
         check_keys(message, MESSAGE if self.where else WORLD, "")
         check_keys(world, WORLD, self.where)
-        self.objects = sequence(world["collision_objects"], below(self.where, "collision_objects"))
+        self.objects = sequence(world["collision_objects"], key_path(self.where, "collision_objects"))
         check_parts(message if self.where else {}, world, self.where, leave_out)
         self.frames = FixedFrames(message if self.where else {})
 
 
-def _obstacles(world: _World, base: pin.SE3, prefix: str, open_meshes: OpenMeshes) -> Iterator[Obstacle]:
+def _read_obstacles(world: _World, base: pin.SE3, prefix: str, open_meshes: OpenMeshes) -> Iterator[Obstacle]:
     names: set[str] = set()
     for index, item in enumerate(world.objects):
-        where = f"{below(world.where, 'collision_objects')}[{index}]"
-        item = mapping(item, where)
+        where = f"{key_path(world.where, 'collision_objects')}[{index}]"
+        item = check_mapping(item, where)
         check_keys(item, OBJECT, where)
         name = item.get("id")
         if not isinstance(name, str) or not name or name in names:
@@ -440,7 +440,10 @@ def _obstacles(world: _World, base: pin.SE3, prefix: str, open_meshes: OpenMeshe
         place = (
             base * world.frames.place(frame_of(item, where), name, where) * pose_of(item.get("pose"), f"{where}.pose")
         )
-        shapes = [*_placed(item, "primitives", "primitive_poses", where), *_placed(item, "meshes", "mesh_poses", where)]
+        shapes = [
+            *_iterate_placed_shapes(item, "primitives", "primitive_poses", where),
+            *_iterate_placed_shapes(item, "meshes", "mesh_poses", where),
+        ]
         if not shapes:
             raise SceneError("the object has no shape", where=where)
         for number, (content, inner, at) in enumerate(shapes, start=1):
@@ -452,7 +455,7 @@ def _obstacles(world: _World, base: pin.SE3, prefix: str, open_meshes: OpenMeshe
                 raise SceneError(error.reason, where=error.where if inside else at, value=error.value) from error
 
 
-def _placed(
+def _iterate_placed_shapes(
     item: Mapping[str, Any], key: str, poses: str, where: str
 ) -> Iterator[tuple[Mapping[str, Any], pin.SE3, str]]:
     """Shapes of one kind, their poses in the object's frame, their keys."""
@@ -462,7 +465,7 @@ def _placed(
         raise SceneError(f"expected one for each of {len(shapes)} {key}, got {len(places)}", where=f"{where}.{poses}")
     for index, content in enumerate(shapes):
         at = f"{where}.{key}[{index}]"
-        yield mapping(content, at), pose_of(places[index] if places else None, f"{where}.{poses}[{index}]"), at
+        yield check_mapping(content, at), pose_of(places[index] if places else None, f"{where}.{poses}[{index}]"), at
 
 
 def _shape(name: str, content: Mapping[str, Any], place: pin.SE3, where: str, open_meshes: OpenMeshes) -> Obstacle:

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from hplan.base.arguments import between, instance
+from hplan.base.arguments import check_between, instance
 from hplan.errors import InputError, RobotFileError
 from hplan.robot.model import Robot
 
@@ -37,7 +37,7 @@ def time_ns(option: str, seconds: Any) -> int:
     """
     # A message has its seconds in a signed 32-bit integer.
     latest_s = 2.0**31 - 1.0
-    return round(Fraction(between(option, seconds, 0.0, latest_s)) * SECOND_NS)
+    return round(Fraction(check_between(option, seconds, 0.0, latest_s)) * SECOND_NS)
 
 
 def message_time(nanoseconds: int) -> dict[str, int]:
@@ -143,12 +143,15 @@ class LinkFrames:
         places = [(link, parent, self.pose(parent).actInv(self.pose(link))) for link, parent in pairs]
         return {
             "transforms": [
-                transform(parent, link, place.rotation, place.translation, stamp_ns) for link, parent, place in places
+                transform_message(parent, link, place.rotation, place.translation, stamp_ns)
+                for link, parent, place in places
             ]
         }
 
 
-def transform(parent: str, child: str, rotation: ArrayLike, translation: ArrayLike, stamp_ns: int) -> dict[str, Any]:
+def transform_message(
+    parent: str, child: str, rotation: ArrayLike, translation: ArrayLike, stamp_ns: int
+) -> dict[str, Any]:
     """Create a `geometry_msgs/msg/TransformStamped`.
 
     Args:

@@ -26,7 +26,7 @@ def set_object(path: str, body: Body | Json) -> Json:
 
 def set_transform(path: str, matrix: FloatArray) -> Json:
     """Set the (4, 4) pose of a node in its parent's frame."""
-    return {"type": "set_transform", "path": path, "matrix": three.numbers(matrix.T)}
+    return {"type": "set_transform", "path": path, "matrix": three.flatten_numbers(matrix.T)}
 
 
 def set_property(path: str, name: str, value: Any) -> Json:
@@ -43,27 +43,27 @@ def node(kind: str, name: str) -> str:
     return f"{kind} {name}".replace("/", "∕")  # noqa: RUF001
 
 
-def turning(times: ArrayLike, turns: ArrayLike) -> Json:
+def rotation_track(times: ArrayLike, turns: ArrayLike) -> Json:
     """Rotation track of a node.
 
     Args:
         times: (k,) times of the keyframes [s].
         turns: (k, 4) quaternions (x, y, z, w) in the parent's frame.
     """
-    return _track(".quaternion", "quaternion", times, three.numbers(turns))
+    return _track(".quaternion", "quaternion", times, three.flatten_numbers(turns))
 
 
-def moving(times: ArrayLike, places: ArrayLike) -> Json:
+def translation_track(times: ArrayLike, places: ArrayLike) -> Json:
     """Translation track of a node.
 
     Args:
         times: (k,) times of the keyframes [s].
         places: (k, 3) positions in the parent's frame [m].
     """
-    return _track(".position", "vector", times, three.numbers(places))
+    return _track(".position", "vector", times, three.flatten_numbers(places))
 
 
-def showing(since: float, until: float, end: float) -> Json:
+def visibility_track(since: float, until: float, end: float) -> Json:
     """Visibility track: a node is visible in [since, until).
 
     Args:
@@ -88,4 +88,4 @@ def animation(clips: Sequence[Json]) -> Json:
 
 
 def _track(name: str, kind: str, times: ArrayLike, values: Sequence[Any]) -> Json:
-    return {"name": name, "type": kind, "times": three.numbers(times), "values": list(values)}
+    return {"name": name, "type": kind, "times": three.flatten_numbers(times), "values": list(values)}

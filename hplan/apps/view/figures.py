@@ -21,13 +21,13 @@ from hplan.base.lazy_import import extra
 from hplan.base.units import joint_unit
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Capsule
-from hplan.trajectory.trajectory import Trajectory, check_joints
+from hplan.trajectory.trajectory import Trajectory, check_trajectory_joints
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from hplan.study.run import StudyResult
-    from hplan.tour.row import Place, RowResult
+    from hplan.tour.row import BaseStop, RowResult
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -89,7 +89,7 @@ def require_matplotlib() -> None:
         import matplotlib  # noqa: F401
 
 
-def styled(draw: Callable[_P, _R]) -> Callable[_P, _R]:
+def apply_style(draw: Callable[_P, _R]) -> Callable[_P, _R]:
     """Decorate a drawing function so that it uses hplan's style.
 
     The decorated function raises an InputError if matplotlib is not installed.
@@ -129,7 +129,7 @@ def new_figure(width: float, height: float, title: str) -> Figure:
     return figure
 
 
-@styled
+@apply_style
 def png_bytes(figure: Figure, dpi: int = _DPI) -> bytes:
     """Render a figure as PNG; equal figures give equal bytes."""
     from PIL import Image  # comes with matplotlib
@@ -156,7 +156,7 @@ def write_png(figure: Figure, path: Path) -> Path:
 _STOPS = (PATH, START, RESTORED, LINKS[1])
 
 
-@styled
+@apply_style
 def draw_row(result: RowResult) -> Figure:
     """Draw the stops of the base and the fruits picked from each.
 
@@ -171,7 +171,7 @@ def draw_row(result: RowResult) -> Figure:
     share = f"{100.0 * report['share_picked']:.0f} % of {report['fruits']} fruits"
     pace = f"{report['total_s_per_fruit']:.2f} s each"
     stops = len(result.stops)
-    stands = [(place.along, _across(place, result)) for place, names in result.candidates.items() if names]
+    stands = [(place.along, _lateral_position(place, result)) for place, names in result.candidates.items() if names]
     fruit = np.array([fruit.center for fruit in scene.fruits])
     (y, x), z = np.concatenate([np.array(stands), fruit[:, 1::-1]]).T, fruit[:, 2]
     # Margin around the contents [m], and maximum size of both views together [inch].
@@ -196,7 +196,7 @@ def draw_row(result: RowResult) -> Figure:
     return figure
 
 
-def _across(place: Place, result: RowResult) -> float:
+def _lateral_position(place: BaseStop, result: RowResult) -> float:
     """Position of the base's axis across the tree row [m]."""
     return 2.0 * result.options.distance * (place.side - 1)
 
@@ -232,11 +232,11 @@ def _draw_stops(axes: Any, result: RowResult) -> None:
     The area of a dot grows with the number of fruits that can be picked from it.
     """
     some = {place: len(names) for place, names in result.candidates.items() if names}
-    places = [(place.along, _across(place, result)) for place in some]
+    places = [(place.along, _lateral_position(place, result)) for place in some]
     sizes = [1.0 + 22.0 * count / max(some.values()) for count in some.values()]
     axes.scatter(*np.array(places).T, s=sizes, color=QUIET, alpha=0.5, lw=0, zorder=2)
     for number, stop in enumerate(result.stops):
-        at, color = (stop.place.along, _across(stop.place, result)), _STOPS[number % len(_STOPS)]
+        at, color = (stop.place.along, _lateral_position(stop.place, result)), _STOPS[number % len(_STOPS)]
         axes.plot(*at, "s", ms=13, color=color, mec="white", zorder=4)
         axes.annotate(str(number + 1), at, ha="center", va="center", color="white", fontweight="bold", zorder=5)
         if stop.place.height:
@@ -250,7 +250,7 @@ def _draw_stops(axes: Any, result: RowResult) -> None:
 _NAMED, _WIDTH = 9, 84
 
 
-@styled
+@apply_style
 def draw_study(result: StudyResult) -> Figure:
     """Draw the choices of a study and its Pareto front.
 
@@ -289,7 +289,7 @@ def draw_study(result: StudyResult) -> Figure:
 _COLORS = (PATH, OBSTACLE, START, GOAL, INK, RESTORED, QUIET)
 
 
-@styled
+@apply_style
 def draw_trajectory(trajectory: Trajectory, robot: Robot | None = None) -> Figure:
     """Draw a trajectory over time.
 
@@ -301,7 +301,7 @@ def draw_trajectory(trajectory: Trajectory, robot: Robot | None = None) -> Figur
         InputError: Matplotlib is not installed, or the joints of the trajectory are not the robot's.
     """
     if robot is not None:
-        check_joints(trajectory, robot)
+        check_trajectory_joints(trajectory, robot)
     slides = trajectory.slides or (False,) * len(trajectory.joint_names)
     units = [joint_unit(slide) for slide in slides]
     factors = np.array([unit.factor for unit in units])

@@ -1,6 +1,7 @@
 """Camera, lights and ground of the animated page.
 
-The camera is as close as possible with all points in the picture. `covered` measures how much a view direction hides.
+The camera is as close as possible with all points in the picture. `hidden_fraction` measures how much a view direction
+hides.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ FIELD_OF_VIEW_DEG = 32.0
 
 
 @dataclass(frozen=True)
-class Frame:
+class ViewFrame:
     """Position and target of the camera, and extent of the scene.
 
     Attributes:
@@ -37,7 +38,7 @@ class Frame:
     ground: FloatArray
 
 
-def frame(points: FloatArray, azimuth: float, elevation: float) -> Frame:
+def frame(points: FloatArray, azimuth: float, elevation: float) -> ViewFrame:
     """Place the camera as close as possible with all points in view.
 
     Args:
@@ -57,7 +58,7 @@ def frame(points: FloatArray, azimuth: float, elevation: float) -> Frame:
     camera = 0.5 * (rightmost - left) * right + 0.5 * (high - low) * up + depth * toward
     middle = 0.5 * float(c.min() + c.max())
     low_corner, high_corner = points.min(axis=0), points.max(axis=0)
-    return Frame(
+    return ViewFrame(
         target=camera - (depth - middle) * toward,
         camera=camera,
         radius=float(0.5 * np.linalg.norm(high_corner - low_corner)),
@@ -65,7 +66,9 @@ def frame(points: FloatArray, azimuth: float, elevation: float) -> Frame:
     )
 
 
-def covered(points: FloatArray, before: FloatArray, widths: FloatArray, azimuth: float, elevation: float) -> float:
+def hidden_fraction(
+    points: FloatArray, before: FloatArray, widths: FloatArray, azimuth: float, elevation: float
+) -> float:
     """Fraction of points hidden by others in a parallel projection.
 
     Args:
@@ -99,7 +102,7 @@ def view_axes(azimuth: float, elevation: float) -> tuple[FloatArray, FloatArray,
     return right, np.cross(toward, right), toward
 
 
-def camera(view: Frame) -> list[Json]:
+def camera(view: ViewFrame) -> list[Json]:
     """Commands that place the camera.
 
     The world's origin must have been moved to `view.target` before.
@@ -117,11 +120,11 @@ def camera(view: Frame) -> list[Json]:
     return [
         set_object(path, {"metadata": {"version": 4.5, "type": "Object"}, "object": lens}),
         # The camera's frame has y up.
-        set_property(f"{path}/<object>", "position", three.numbers([x, z, -y])),
+        set_property(f"{path}/<object>", "position", three.flatten_numbers([x, z, -y])),
     ]
 
 
-def lights(view: Frame) -> list[Json]:
+def lights(view: ViewFrame) -> list[Json]:
     """Commands for sky light, key light with shadows, and fill light.
 
     Meshcat's own lights, grid and axes are hidden.
@@ -169,14 +172,14 @@ def lights(view: Frame) -> list[Json]:
         ("key", key, far * (0.45 * level - 0.5 * across + 0.85 * up), True),
         ("fill", fill, far * (0.3 * level + 0.9 * across + 0.3 * up), False),
     ):
-        matrix = three.numbers(three.transform(position=place).T)
+        matrix = three.flatten_numbers(three.transform(position=place).T)
         data = {"metadata": {"version": 4.5, "type": "Object"}, "object": {"uuid": name, **light, "matrix": matrix}}
         commands.append(set_object(f"/Lights/{name}", data))
         commands.append(set_property(f"/Lights/{name}/<object>", "castShadow", throws))
     return commands
 
 
-def ground(view: Frame, floor: float) -> Body:
+def ground(view: ViewFrame, floor: float) -> Body:
     """Ground with a fading grid, 0.5 m wide, and shadows.
 
     Args:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from hplan.apps.view import scenery
 from hplan.apps.view.playback import playable
-from hplan.base.arguments import instance, number, whole
+from hplan.base.arguments import check_integer, instance, number
 from hplan.base.arrays import numbers
 from hplan.base.lazy_import import extra
 from hplan.robot.model import Robot
@@ -53,7 +53,7 @@ class LiveScene(AbstractContextManager["LiveScene"]):
         """
         instance("robot", robot, Robot, "load_robot")
         instance("scene", scene, Scene, "load_scene")
-        whole("port", port, 0, 65535)
+        check_integer("port", port, 0, 65535)
         with extra("viser", "a live view needs viser"):
             import viser
             from pinocchio.visualize import ViserVisualizer
@@ -78,7 +78,7 @@ class LiveScene(AbstractContextManager["LiveScene"]):
         Raises:
             OptionError: `time_s` is not a number.
         """
-        still, draw = scene.at(number("time_s", time_s, "a time in seconds")), self.server.scene
+        still, draw = scene.snapshot(number("time_s", time_s, "a time in seconds")), self.server.scene
         draw.remove_by_name("/scene")  # and all nodes below it
         draw.add_frame("/scene", show_axes=False)
         for item in still.obstacles:

@@ -20,7 +20,7 @@ import numpy as np
 from hplan.apps.view import scenery
 from hplan.apps.view.framing import ASPECT
 from hplan.apps.view.playback import Playback, playable
-from hplan.apps.view.scene_stage import APPROACH_COLOR, GOAL_COLOR, REST_S, START_COLOR, stage
+from hplan.apps.view.scene_stage import APPROACH_COLOR, GOAL_COLOR, REST_S, START_COLOR, build_stage
 from hplan.apps.view.server import LiveView
 from hplan.apps.view.three_js import Json
 from hplan.base.arguments import instance
@@ -240,7 +240,7 @@ def render_page(robot: Robot, scene: Scene, playback: Playback) -> str:
     """
     instance("robot", robot, Robot, "load_robot")
     instance("scene", scene, Scene, "load_scene")
-    trajectory = instance("playback", playback, Playback, "Playback.of").trajectory
+    trajectory = instance("playback", playback, Playback, "Playback.from_result").trajectory
     moves = trajectory.samples > 1
     entries: list[tuple[str, Sequence[int]]] = [("Start", [START_COLOR]), ("Goal", [GOAL_COLOR])] if moves else []
     if moves and any(phase.name == "approach" for phase in playback.every_phase):
@@ -256,7 +256,7 @@ def render_page(robot: Robot, scene: Scene, playback: Playback) -> str:
         entries.append(("Picked", [scenery.PICKED_COLOR]))
     subtitle = f"{robot.name}, {trajectory.duration:.2f} s" if moves else f"{robot.name}, at rest"
     panel = _panel(robot, scene, playback) if moves else ""
-    return document(scene.name, subtitle, entries, stage(robot, scene, playback), panel)
+    return document(scene.name, subtitle, entries, build_stage(robot, scene, playback), panel)
 
 
 def document(

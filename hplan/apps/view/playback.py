@@ -71,7 +71,7 @@ class Playback:
         number("begin_s", self.begin_s, "a time in seconds")
 
     @classmethod
-    def of(cls, result: Shown) -> Playback:
+    def from_result(cls, result: Shown) -> Playback:
         """Return the motion of a plan, stop, tour or multi-arm result.
 
         Raises:
@@ -90,7 +90,7 @@ class Playback:
         curve = self.clearance_curve
         if curve is None and self.certificate is not None:
             curve = self.certificate.clearance_curve
-        return None if curve is None else curve.shown
+        return None if curve is None else curve.report_curve
 
     def check(self, robot: Robot) -> None:
         """Check that the trajectory has the robot's joints.

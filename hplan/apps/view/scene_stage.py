@@ -15,13 +15,22 @@ import pinocchio as pin
 
 from hplan.apps.view import framing, scenery
 from hplan.apps.view import three_js as three
-from hplan.apps.view.commands import ROOT, animation, clip, moving, node, set_object, set_transform, turning
-from hplan.apps.view.framing import Frame
+from hplan.apps.view.commands import (
+    ROOT,
+    animation,
+    clip,
+    node,
+    rotation_track,
+    set_object,
+    set_transform,
+    translation_track,
+)
+from hplan.apps.view.framing import ViewFrame
 from hplan.apps.view.playback import Playback
 from hplan.apps.view.three_js import Body, Json
 from hplan.base.arrays import FloatArray
 from hplan.collision.collision_bodies import collision_bodies
-from hplan.collision.reach import reach_ball
+from hplan.collision.reach import workspace_ball
 from hplan.geometry.hull import CUBE_CORNERS
 from hplan.geometry.polyline import stations
 from hplan.robot.dynamics import joint_axis
@@ -44,7 +53,7 @@ APPROACH_COLOR = 0xF08A1D
 _RINGS, _RING_SPACING = 900, 0.02
 
 
-def stage(robot: Robot, scene: Scene, playback: Playback) -> list[Json]:
+def build_stage(robot: Robot, scene: Scene, playback: Playback) -> list[Json]:
     """Build all content of the page.
 
     Returns:
@@ -68,7 +77,7 @@ def stage(robot: Robot, scene: Scene, playback: Playback) -> list[Json]:
         *scenery.obstacles(scene),
         *scenery.fruits(scene, goal=scene.goal.fruit if len(picks) < 2 else None),
         *scenery.placed_movers(scene, playback.begin_s),
-        *_posed(robot, trajectory.position[0], "arm"),
+        *_draw_robot(robot, trajectory.position[0], "arm"),
     ]
     if trajectory.samples > 1:
         # A single ghost would not represent several goals.
@@ -76,7 +85,7 @@ def stage(robot: Robot, scene: Scene, playback: Playback) -> list[Json]:
             last = _row_at(trajectory, picks[0].since if picks else trajectory.duration)
             for layer, name, row, color in ((1, "start", 0, START_COLOR), (2, "goal", last, GOAL_COLOR)):
                 ghost = three.ghost_material(color, 0.28, layer)
-                commands += _posed(robot, trajectory.position[row], f"{name} pose", ghost, shadow=False, order=2)
+                commands += _draw_robot(robot, trajectory.position[row], f"{name} pose", ghost, shadow=False, order=2)
         body = Body()
         for name, tool in playback.frames.items() or [("", robot.tool_frame)]:
             _add_tool_path(body, robot, playback, tool, playback.arms.get(name, playback.phases))
@@ -112,7 +121,7 @@ def _joint_paths(model: pin.Model, top: str) -> list[str]:
     return paths
 
 
-def _looks(robot: Robot) -> Sequence[pin.GeometryObject]:
+def _drawn_geometry(robot: Robot) -> Sequence[pin.GeometryObject]:
     """Drawn geometry of a robot.
 
     Visual shapes, or collision shapes if the visual ones are too detailed.
@@ -123,14 +132,14 @@ def _looks(robot: Robot) -> Sequence[pin.GeometryObject]:
     return shown if triangles <= 20_000 else robot.collision_model.geometryObjects
 
 
-def _posed(robot: Robot, q: FloatArray, top: str, surface: Json | None = None, **settings: Any) -> list[Json]:
+def _draw_robot(robot: Robot, q: FloatArray, top: str, surface: Json | None = None, **settings: Any) -> list[Json]:
     """Draw the robot at a configuration, in colour or as a ghost.
 
     A ghost omits the base, and bodies that turn about the vertical in place.
     """
     bodies: dict[int, Body] = defaultdict(Body)
     first = 0 if surface is None else 2 if robot.dof > 1 and _turns_upright(robot) else 1
-    for item in _looks(robot):
+    for item in _drawn_geometry(robot):
         if item.parentJoint >= first:
             look = surface or three.material(three.color_of(item.meshColor), opacity=float(item.meshColor[3]))
             shape, pose = item.geometry, item.placement.homogeneous
@@ -174,9 +183,9 @@ def _animation(robot: Robot, scene: Scene, playback: Playback, picks: Sequence[s
     clips = [
         clip(
             path,
-            moving([*times, end], places[joint])
+            translation_track([*times, end], places[joint])
             if np.ptp(places[joint], axis=0).max() > slid
-            else turning([*times, end], turns[joint]),
+            else rotation_track([*times, end], turns[joint]),
         )
         for joint, path in enumerate(_joint_paths(model, "arm"))
         if joint > 0
@@ -236,7 +245,9 @@ def _stands(scene: Scene, playback: Playback) -> list[Scene]:
     """
     if not scene.moves:
         return [scene]
-    return [scene.at(playback.begin_s + part * playback.trajectory.duration) for part in (0.0, 0.25, 0.5, 0.75, 1.0)]
+    return [
+        scene.snapshot(playback.begin_s + part * playback.trajectory.duration) for part in (0.0, 0.25, 0.5, 0.75, 1.0)
+    ]
 
 
 def _floor(robot: Robot, stands: Sequence[Scene]) -> float:
@@ -248,17 +259,19 @@ def _floor(robot: Robot, stands: Sequence[Scene]) -> float:
     """
     solids = [_outline(solid) for scene in stands for item in scene.obstacles for solid in item.solids]
     lowest = min((float(core[:, 2].min()) for core in solids if not _is_ground(robot, core)), default=0.0)
-    return min(0.0, max(lowest, -float(reach_ball(robot)[3])))
+    return min(0.0, max(lowest, -float(workspace_ball(robot)[3])))
 
 
 def _is_ground(robot: Robot, corners: FloatArray) -> bool:
     """True if a body does not extend above the arm's foot and is wider than the arm can span."""
     if corners[:, 2].max() > 0.0:
         return False
-    return bool(np.ptp(corners[:, :2], axis=0).max() > 2.0 * reach_ball(robot)[3])
+    return bool(np.ptp(corners[:, :2], axis=0).max() > 2.0 * workspace_ball(robot)[3])
 
 
-def _frame(robot: Robot, stands: Sequence[Scene], trajectory: Trajectory, picks: Sequence[int], floor: float) -> Frame:
+def _frame(
+    robot: Robot, stands: Sequence[Scene], trajectory: Trajectory, picks: Sequence[int], floor: float
+) -> ViewFrame:
     """Place the camera to view the arm from the side.
 
     The scene fills the picture. The side is that of the vertical plane through the first joint and the tool; for
@@ -278,7 +291,7 @@ def _frame(robot: Robot, stands: Sequence[Scene], trajectory: Trajectory, picks:
     blocking = [_blocking_points(scene) for scene in stands]
     before, widths = (np.concatenate(values) for values in zip(*blocking, strict=True))
     sides = heading + np.radians([turn for side in (-90.0, 90.0) for turn in (side + aside, side - aside)])
-    hidden = [framing.covered(arm, before, widths, azimuth, elevation) for azimuth in sides]
+    hidden = [framing.hidden_fraction(arm, before, widths, azimuth, elevation) for azimuth in sides]
     visible = _visible_points(robot, stands, np.vstack([arm, _corners(robot, configurations)]), floor)
     return framing.frame(visible, float(sides[int(np.argmin(hidden))]), elevation)
 
@@ -338,7 +351,7 @@ def _visible_points(robot: Robot, stands: Sequence[Scene], arm: FloatArray, floo
 
     They belong to the moving arm, its foot, obstacles near the arm, and fruits.
     """
-    ball = reach_ball(robot)
+    ball = workspace_ball(robot)
     # A square on the ground about the foot.
     points = [arm, 0.16 * np.array([(x, y, 0.0) for x in (-1, 1) for y in (-1, 1)])]
     for core, rounding in (

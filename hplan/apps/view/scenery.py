@@ -17,7 +17,17 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from hplan.apps.view import three_js as three
-from hplan.apps.view.commands import ROOT, clip, moving, node, set_object, set_property, set_transform, showing, turning
+from hplan.apps.view.commands import (
+    ROOT,
+    clip,
+    node,
+    rotation_track,
+    set_object,
+    set_property,
+    set_transform,
+    translation_track,
+    visibility_track,
+)
 from hplan.apps.view.framing import FIELD_OF_VIEW_DEG
 from hplan.apps.view.playback import Playback
 from hplan.apps.view.three_js import Body, Json
@@ -30,7 +40,7 @@ from hplan.scene.tracks import Track
 
 
 @dataclass(frozen=True)
-class Look:
+class Appearance:
     """Appearance of the obstacles of one material.
 
     Attributes:
@@ -46,19 +56,21 @@ class Look:
     opacity: float = 1.0
 
 
-LEAVES = Look("Leaves", 0x7FA35F, frozenset({"leaf", "leaves", "foliage", "canopy", "crown", "hedge"}))
-WOOD = Look(
+LEAVES = Appearance("Leaves", 0x7FA35F, frozenset({"leaf", "leaves", "foliage", "canopy", "crown", "hedge"}))
+WOOD = Appearance(
     "Wood",
     0x866349,
     frozenset({"tree", "trunk", "branch", "branches", "shoot", "limb", "twig", "stem", "leader", "wood", "spur"}),
 )
-METAL = Look("Posts and wires", 0x8B949E, frozenset({"wire", "post", "pole", "stake", "cable", "rail", "trellis"}))
-BULK = Look(
+METAL = Appearance(
+    "Posts and wires", 0x8B949E, frozenset({"wire", "post", "pole", "stake", "cable", "rail", "trellis"})
+)
+BULK = Appearance(
     "Ground and vehicle",
     0xB4B7B2,
     frozenset({"ground", "floor", "soil", "vehicle", "platform", "cart", "tractor", "trailer", "wall", "bin"}),
 )
-OTHER = Look("Obstacles", 0x7B5EA7, frozenset(), 0.85)
+OTHER = Appearance("Obstacles", 0x7B5EA7, frozenset(), 0.85)
 
 FRUIT_COLOR = 0xD7263D
 GOAL_FRUIT_COLOR = 0xFF3B2F
@@ -67,7 +79,7 @@ HALO_COLOR = 0xFFC53D
 PICKED_COLOR = 0x9BD84A
 
 
-def look_of(name: str) -> Look:
+def look_of(name: str) -> Appearance:
     """Appearance of an obstacle according to the words of its name.
 
     A plural `s` at the end of a word is ignored.
@@ -77,7 +89,7 @@ def look_of(name: str) -> Look:
     return next((look for look in (LEAVES, WOOD, METAL, BULK) if words & look.words), OTHER)
 
 
-def looks(scene: Scene) -> list[Look]:
+def looks(scene: Scene) -> list[Appearance]:
     """Distinct appearances of a scene's obstacles."""
     return list(dict.fromkeys(look_of(item.name) for item in scene.obstacles))
 
@@ -94,7 +106,7 @@ def obstacles(scene: Scene) -> list[Json]:
             capsules[top, look].append(item)
         else:
             body = Body()
-            _add(body, item, look)
+            _add_node(body, item, look)
             commands.append(set_object(f"{top}/{node(item.kind, item.name)}", body))
     for (top, look), items in capsules.items():
         body = Body()
@@ -151,15 +163,15 @@ def moving_clips(scene: Scene, times: FloatArray, begin_s: float, end: float) ->
     clips = []
     for path, (turns, shifts) in _node_poses(scene, begin_s + np.append(times, times[-1])).items():
         quaternions = np.array([pin.Quaternion(turn).coeffs() for turn in turns])
-        clips.append(clip(path, turning(clock, quaternions), moving(clock, shifts)))
+        clips.append(clip(path, rotation_track(clock, quaternions), translation_track(clock, shifts)))
     return clips
 
 
-def _surface(look: Look) -> Json:
+def _surface(look: Appearance) -> Json:
     return three.material(look.color, opacity=look.opacity, roughness=0.55 if look in (OTHER, METAL) else 0.85)
 
 
-def _add(body: Body, item: AnyObstacle, look: Look) -> None:
+def _add_node(body: Body, item: AnyObstacle, look: Appearance) -> None:
     surface = _surface(look)
     # Maximum number of points of a cloud that are drawn.
     most_points = 20_000
@@ -295,9 +307,13 @@ def picked_clips(
         at, taken = (np.column_stack([np.interp(t, times, axis) for axis in tool]) for t in (stations, [pick.since]))
         path = np.array(pick.fruit.center) + np.where(stations[:, None] > pick.since, at - taken, 0.0)
         clips += [
-            clip(_fruit_path(pick.fruit), showing(0.0, pick.since, end)),
-            clip(_picked_path("picked", pick), showing(pick.since, pick.until, end), moving(stations, path)),
-            clip(_picked_path("places", pick), showing(pick.since, math.inf, end)),
+            clip(_fruit_path(pick.fruit), visibility_track(0.0, pick.since, end)),
+            clip(
+                _picked_path("picked", pick),
+                visibility_track(pick.since, pick.until, end),
+                translation_track(stations, path),
+            ),
+            clip(_picked_path("places", pick), visibility_track(pick.since, math.inf, end)),
         ]
     return clips
 

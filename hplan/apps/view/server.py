@@ -41,7 +41,7 @@ class LiveView(AbstractContextManager["LiveView"]):
         self._thread.start()
 
     @property
-    def running(self) -> bool:
+    def is_running(self) -> bool:
         """True until the server has stopped."""
         return self._thread.is_alive()
 

@@ -36,7 +36,7 @@ def transform(rotation: ArrayLike | None = None, position: ArrayLike | None = No
     return matrix
 
 
-def numbers(values: ArrayLike) -> list[float]:
+def flatten_numbers(values: ArrayLike) -> list[float]:
     """Flatten values to a list, rounded to 1e-6.
 
     Rounding to a micrometre keeps the page small and identical on every run.
@@ -152,7 +152,7 @@ class Body:
             "renderOrder": order,
         }
         if placement is not None:
-            mesh["matrix"] = numbers(placement.T)
+            mesh["matrix"] = flatten_numbers(placement.T)
         self._meshes.append(mesh)
 
     def add_copies(
@@ -171,7 +171,7 @@ class Body:
         # Frustum culling would test the bounds of the shape itself, not of its instances.
         self._meshes[-1] |= {
             "count": len(placements),
-            "instanceMatrix": {"array": numbers(columns_first)},
+            "instanceMatrix": {"array": flatten_numbers(columns_first)},
             "frustumCulled": False,
         }
 
@@ -199,7 +199,7 @@ Z_UP = transform(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
 
 def box(size: Sequence[float] | NDArray[np.float64]) -> Json:
     """Box with full edge lengths `size` [m]."""
-    width, height, depth = numbers(np.asarray(size))
+    width, height, depth = flatten_numbers(np.asarray(size))
     return {"type": "BoxGeometry", "width": width, "height": height, "depth": depth}
 
 
@@ -269,7 +269,7 @@ def label(text: str, height: float) -> Json:
             "uuid": "label",
             "type": "Sprite",
             "material": "look",
-            "matrix": numbers(np.diag([side, side, 1.0, 1.0])),
+            "matrix": flatten_numbers(np.diag([side, side, 1.0, 1.0])),
             "renderOrder": 4,
         },
     }
@@ -296,7 +296,7 @@ def _buffers(index: ArrayLike, **attributes: FloatArray) -> Json:
                 name: {
                     "itemSize": values.shape[-1],
                     "type": "Float32Array",
-                    "array": numbers(values),
+                    "array": flatten_numbers(values),
                     "normalized": False,
                 }
                 for name, values in attributes.items()

@@ -12,7 +12,7 @@ from hplan.base.lazy_import import lazy_names
 
 if TYPE_CHECKING:
     from hplan.planar.grid.astar import dense_search
-    from hplan.planar.grid.flood import reachable, slices_with_path
+    from hplan.planar.grid.flood import reachable_nodes, slices_with_path
     from hplan.planar.grid.result import Expansions, Fallback, SearchResult, StageTimes
     from hplan.planar.grid.two_level import two_level_search
 
@@ -22,7 +22,7 @@ __all__ = [
     "SearchResult",
     "StageTimes",
     "dense_search",
-    "reachable",
+    "reachable_nodes",
     "slices_with_path",
     "two_level_search",
 ]
@@ -31,7 +31,7 @@ __getattr__ = lazy_names(
     __name__,
     {
         "hplan.planar.grid.astar": "dense_search",
-        "hplan.planar.grid.flood": "reachable slices_with_path",
+        "hplan.planar.grid.flood": "reachable_nodes slices_with_path",
         "hplan.planar.grid.result": "Expansions Fallback SearchResult StageTimes",
         "hplan.planar.grid.two_level": "two_level_search",
     },

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from hplan.base.arguments import truth
 from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.base.deadline import check_deadline, is_up
-from hplan.base.kernels import inlined, kernel
+from hplan.base.kernels import inline, kernel
 from hplan.planar.grid.bits import lowest_bit, popcount
 from hplan.planar.grid.grid import Occupancy, checked_node
 from hplan.planar.grid.heap import begin, pop, priority, push
@@ -46,8 +46,8 @@ def dense_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, oct
     begun = time.perf_counter()
     truth("octile", octile)
     source, target = checked_node(occupancy, start, "start"), checked_node(occupancy, goal, "goal")
-    lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
-    nodes = NodeSet.of(lattice.bordered(occupancy.free_words))
+    lattice = Lattice.build(occupancy.grid.shape, occupancy.grid.step)
+    nodes = NodeSet.from_words(lattice.add_border(occupancy.free_words))
     path, cost, expansions = astar(lattice, nodes, source, target, octile=octile)
     return SearchResult(
         path=None if path is None else frozen(path),
@@ -85,7 +85,7 @@ def astar(
     return (path if len(path) else None), cost, expansions
 
 
-@inlined
+@inline
 def bound(row_coordinates: IntArray, step: FloatArray, row: int, bit: int, goal: Node, octile: bool) -> float:
     """Obstacle-free lower bound of the cost from a node to the goal.
 

@@ -12,7 +12,7 @@ import numpy as np
 from hplan.base.arrays import BoolArray
 from hplan.planar.grid.grid import Grid
 from hplan.planar.grid.occupancy import occupancy
-from hplan.planar.grid.sections import ArmSections, meeting_pairs, only
+from hplan.planar.grid.sections import ArmSections, meeting_pairs, select_sections
 from hplan.robot.planar_family import PlanarArm
 
 
@@ -28,12 +28,12 @@ def blockers(arm: PlanarArm, sections: ArmSections, grid: Grid, reached: BoolArr
         For each pair `obstacle`, `link`, `cells` (occupied border nodes) and `slices_deg` (first and last value of
         the last joint among them).
     """
-    border = _grown(reached) & ~reached
+    border = _dilate(reached) & ~reached
     last = np.degrees(grid.axis(len(grid.shape) - 1))
     found = []
     for link, obstacle in meeting_pairs(sections):
         link_name, obstacle_name = arm.link_names[link], sections.obstacle_names[obstacle]
-        cells = occupancy(arm, only(sections, link, obstacle), grid).occupied & border
+        cells = occupancy(arm, select_sections(sections, link, obstacle), grid).occupied_mask & border
         count = int(cells.sum())
         if count == 0:
             continue
@@ -49,7 +49,7 @@ def blockers(arm: PlanarArm, sections: ArmSections, grid: Grid, reached: BoolArr
     return sorted(found, key=lambda item: -item["cells"])
 
 
-def _grown(mask: BoolArray) -> BoolArray:
+def _dilate(mask: BoolArray) -> BoolArray:
     """Dilate a mask by one node, also across corners."""
     grown = mask.copy()
     for axis in range(mask.ndim):

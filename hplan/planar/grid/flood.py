@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, WordArray, frozen
-from hplan.base.deadline import check_deadline, is_up, until
+from hplan.base.deadline import check_deadline, is_up, kernel_time_limit
 from hplan.base.kernels import kernel
 from hplan.planar.grid.bits import lowest_bit, popcount
 from hplan.planar.grid.grid import Occupancy, checked_node
@@ -20,7 +20,7 @@ from hplan.planar.grid.lattice import Lattice
 _NOWHERE = 0
 
 #: The deadline is checked at lines whose number has all of these bits clear.
-_OFTEN = 15
+_LINE_MASK = 15
 
 
 def flood_slices(
@@ -44,7 +44,12 @@ def flood_slices(
     if goal_row is None:
         goal_row, enough = _NOWHERE, np.ones_like(enough)
     count = _flood(
-        free.reshape(shape), reached.reshape(shape), neighbours[neighbours != 0], (False, goal_row), enough, until()
+        free.reshape(shape),
+        reached.reshape(shape),
+        neighbours[neighbours != 0],
+        (False, goal_row),
+        enough,
+        kernel_time_limit(),
     )
     check_deadline()
     return reached, int(count)
@@ -65,7 +70,9 @@ def flood_from(lattice: Lattice, free: WordArray, nodes: IntArray) -> tuple[Word
         reached[lattice.row_of(node), node[-1] >> 6] |= np.uint64(1) << np.uint64(node[-1] & 63)
     shape, neighbours = in_lines(lattice)
     enough = np.ones(lattice.words, dtype=np.uint64)
-    count = _flood(free.reshape(shape), reached.reshape(shape), neighbours, (True, _NOWHERE), enough, until())
+    count = _flood(
+        free.reshape(shape), reached.reshape(shape), neighbours, (True, _NOWHERE), enough, kernel_time_limit()
+    )
     check_deadline()
     return reached, int(count)
 
@@ -80,7 +87,7 @@ def in_lines(lattice: Lattice) -> tuple[tuple[int, int], IntArray]:
     return (lattice.rows // line, line * lattice.words), lattice.row_offsets[1::3] // line
 
 
-def reachable(occupancy: Occupancy, start: ArrayLike) -> BoolArray:
+def reachable_nodes(occupancy: Occupancy, start: ArrayLike) -> BoolArray:
     """Nodes that can be reached from a node.
 
     Args:
@@ -94,9 +101,9 @@ def reachable(occupancy: Occupancy, start: ArrayLike) -> BoolArray:
         InputError: The start is not a node of the grid, or not free.
     """
     node = checked_node(occupancy, start, "start")
-    lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
-    reached, _ = flood_from(lattice, lattice.bordered(occupancy.free_words), node)
-    return frozen(bits_of(lattice.unbordered(reached))[:, : lattice.shape[-1]].reshape(lattice.shape))
+    lattice = Lattice.build(occupancy.grid.shape, occupancy.grid.step)
+    reached, _ = flood_from(lattice, lattice.add_border(occupancy.free_words), node)
+    return frozen(bits_of(lattice.remove_border(reached))[:, : lattice.shape[-1]].reshape(lattice.shape))
 
 
 def slices_with_path(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike) -> BoolArray:
@@ -116,8 +123,8 @@ def slices_with_path(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike) ->
         InputError: Start or goal is not a node of the grid, or not free.
     """
     source, target = checked_node(occupancy, start, "start"), checked_node(occupancy, goal, "goal")
-    lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
-    free, goal_row = lattice.bordered(occupancy.free_words), lattice.row_of(target)
+    lattice = Lattice.build(occupancy.grid.shape, occupancy.grid.step)
+    free, goal_row = lattice.add_border(occupancy.free_words), lattice.row_of(target)
     every = lattice.mask(range(lattice.shape[-1]))
     reached, _ = flood_slices(lattice, free, lattice.row_of(source), every, goal_row)
     return frozen(bits_of(reached[goal_row])[: lattice.shape[-1]])
@@ -167,7 +174,7 @@ def _flood(
                 continue
             waiting[line] = False
             left -= 1
-            if line & _OFTEN == 0 and is_up(until):
+            if line & _LINE_MASK == 0 and is_up(until):
                 return 0
             here, inside = reached[line], free[line]
             for k in range(length):

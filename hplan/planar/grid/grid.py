@@ -20,7 +20,7 @@ from hplan.errors import InputError, OptionError
 MAX_NODES = 2**31
 
 #: Largest limit of a grid, far beyond any joint's; differences of larger values overflow.
-_FARTHEST = 1e12
+_LARGEST_LIMIT = 1e12
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class Grid(Record):
     shape: tuple[int, ...]
 
     @classmethod
-    def over(cls, lower: ArrayLike, upper: ArrayLike, step: ArrayLike) -> Grid:
+    def from_limits(cls, lower: ArrayLike, upper: ArrayLike, step: ArrayLike) -> Grid:
         """Grid whose first and last nodes are the limits.
 
         If a range is not a whole number of steps, its step is reduced until it is. Equal limits give one node.
@@ -63,11 +63,11 @@ class Grid(Record):
             raise OptionError("step", step, expected) from error
         if not (steps > 0.0).all():
             raise OptionError("step", step, expected)
-        if low.shape != high.shape or not ((np.abs([low, high]) <= _FARTHEST).all() and (low <= high).all()):
+        if low.shape != high.shape or not ((np.abs([low, high]) <= _LARGEST_LIMIT).all() and (low <= high).all()):
             raise OptionError(
                 "limits",
                 (low.tolist(), high.tolist()),
-                f"finite lower limits, none above its upper limit, all within +-{_FARTHEST:g}",
+                f"finite lower limits, none above its upper limit, all within +-{_LARGEST_LIMIT:g}",
             )
         counts = np.where(low < high, np.maximum(1.0, np.ceil((high - low) / steps - 1e-9)), 0.0)
         with np.errstate(over="ignore"):
@@ -94,7 +94,7 @@ class Grid(Record):
         position: FloatArray = (np.asarray(coordinates) - self.lower) / self.step
         return position
 
-    def nearest(self, coordinates: ArrayLike) -> IntArray:
+    def nearest_node(self, coordinates: ArrayLike) -> IntArray:
         """Index of the nearest node, (d,) -> (d,)."""
         rounded = np.rint(self.position(coordinates)).astype(np.int64)
         return np.clip(rounded, 0, np.array(self.shape) - 1)
@@ -123,7 +123,7 @@ class Occupancy(Record):
         Raises:
             InputError: The mask's shape differs from the grid's.
         """
-        instance("grid", grid, Grid, "Grid.over")
+        instance("grid", grid, Grid, "Grid.from_limits")
         occupied = instance("occupied", occupied, np.ndarray)
         if occupied.dtype != np.bool_:
             raise OptionError("occupied", f"an array of {occupied.dtype}", "an array of Booleans")
@@ -140,7 +140,7 @@ class Occupancy(Record):
         return cls(grid, frozen(np.ascontiguousarray(packed)))
 
     @cached_property
-    def occupied(self) -> BoolArray:
+    def occupied_mask(self) -> BoolArray:
         """Mask of the grid's shape, True where occupied."""
         bits = np.unpackbits(self.free_words.view(np.uint8), axis=1, bitorder="little")
         return frozen((bits[:, : self.grid.shape[-1]] == 0).reshape(self.grid.shape))

@@ -10,7 +10,7 @@ import math
 from typing import TypeAlias
 
 from hplan.base.arrays import FloatArray, IntArray, ShortArray
-from hplan.base.kernels import inlined
+from hplan.base.kernels import inline
 
 #: Arrays of nodes or slots, of either integer size.
 Numbers: TypeAlias = IntArray | ShortArray
@@ -19,7 +19,7 @@ Numbers: TypeAlias = IntArray | ShortArray
 NEW, TAKEN = -1, -2
 
 
-@inlined
+@inline
 def priority(cost: float, ahead: float, scale: float) -> float:
     """Key of a node: rounded f plus a tie-breaking fraction.
 
@@ -36,14 +36,14 @@ def priority(cost: float, ahead: float, scale: float) -> float:
     return math.floor((cost + ahead) * scale * 1e10 + 0.5) + min(0.9, 0.1 * ahead * scale)
 
 
-@inlined
+@inline
 def begin(keys: FloatArray, nodes: Numbers, slot: Numbers, node: int) -> int:
     """Initialize the heap with one node of key 0."""
     keys[0], nodes[0], slot[node] = 0.0, node, 0
     return 1
 
 
-@inlined
+@inline
 def pop(keys: FloatArray, nodes: Numbers, slot: Numbers, size: int) -> int:
     """Remove and return the node with the smallest key.
 
@@ -75,7 +75,7 @@ def pop(keys: FloatArray, nodes: Numbers, slot: Numbers, size: int) -> int:
     return taken
 
 
-@inlined
+@inline
 def push(keys: FloatArray, nodes: Numbers, slot: Numbers, size: int, key: float, node: int) -> int:
     """Insert a node, or lower its key in the heap.
 

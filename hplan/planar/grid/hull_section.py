@@ -18,19 +18,19 @@ import math
 from typing import NamedTuple
 
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.base.kernels import inlined, kernel
+from hplan.base.kernels import inline, kernel
 
 #: Growth of bodies, relative to their size above 1 m, that keeps rounding errors on the safe side [m].
 OUTWARD = 1e-12
 
 #: Heights that differ by less are treated as equal [m].
-_IN_PLANE = 1e-12
+_EQUAL_HEIGHT = 1e-12
 
 #: Maximum number of tangents per section; if they do not suffice, the section may exceed the requested error.
 MOST_TANGENTS = 256
 
 #: Maximum number of steps to the binding points; the support is a valid bound after any number of steps.
-_STEPS = 64
+_MOST_STEPS = 64
 
 
 class _Hull(NamedTuple):
@@ -53,13 +53,13 @@ def _draw_tangent(points: FloatArray, hull: _Hull, ux: float, uy: float, tangent
     radius, kept, low, high = hull
     weight, across = 0.0, 0.0
     support = 0.0
-    for _ in range(_STEPS):
+    for _ in range(_MOST_STEPS):
         low_reach = ux * points[low, 0] + uy * points[low, 1]
         high_reach = ux * points[high, 0] + uy * points[high, 1]
         rise = points[high, 2] - points[low, 2]
         # Tilt with both points binding, unless one of them alone binds at a better tilt.
         tilt, root, alone = 0.0, 1.0, 0 if low_reach >= high_reach else 1
-        if rise > _IN_PLANE:
+        if rise > _EQUAL_HEIGHT:
             tilt = (low_reach - high_reach) / rise
             root = math.sqrt(1.0 + tilt * tilt)
             height = -radius * tilt / root
@@ -93,7 +93,7 @@ def _draw_tangent(points: FloatArray, hull: _Hull, ux: float, uy: float, tangent
 
 
 @kernel
-def _corner(tangents: FloatArray, i: int, j: int) -> tuple[float, float]:
+def _section_corner(tangents: FloatArray, i: int, j: int) -> tuple[float, float]:
     """Intersection of two tangents."""
     turn = tangents[i, 0] * tangents[j, 1] - tangents[i, 1] * tangents[j, 0]
     x = (tangents[i, 2] * tangents[j, 1] - tangents[j, 2] * tangents[i, 1]) / turn
@@ -139,7 +139,7 @@ def _kept_rounding(points: FloatArray, radius: float) -> float:
     return radius * math.sqrt(1.0 - worst)
 
 
-@inlined
+@inline
 def _next_normal(tangents: FloatArray, at: int, following: int) -> tuple[float, float]:
     """Normal of the next tangent between two others.
 
@@ -160,7 +160,7 @@ def _next_normal(tangents: FloatArray, at: int, following: int) -> tuple[float, 
     return ux, uy
 
 
-@inlined
+@inline
 def _draw_between(
     points: FloatArray, hull: _Hull, error: float, tangents: FloatArray, after: IntArray
 ) -> tuple[int, float]:
@@ -174,7 +174,7 @@ def _draw_between(
     made, at = 4, 0
     while True:
         following = after[at]
-        cx, cy = _corner(tangents, at, following)
+        cx, cy = _section_corner(tangents, at, following)
         gap = _gap(cx, cy, tangents[at, 3], tangents[at, 4], tangents[following, 3], tangents[following, 4])
         if gap <= error:
             at = following
@@ -195,7 +195,7 @@ def _draw_between(
     return made, error
 
 
-@inlined
+@inline
 def _drop_needless(made: int, error: float, tangents: FloatArray, after: IntArray) -> tuple[int, int]:
     """Drop tangents within the error; return the number left.
 
@@ -206,7 +206,7 @@ def _drop_needless(made: int, error: float, tangents: FloatArray, after: IntArra
         middle = after[start]
         end = after[middle]
         if sides > 3 and tangents[start, 0] * tangents[end, 1] - tangents[start, 1] * tangents[end, 0] > 0.1:
-            cx, cy = _corner(tangents, start, end)
+            cx, cy = _section_corner(tangents, start, end)
             mx, my = tangents[middle, 3], tangents[middle, 4]
             gap = min(
                 _gap(cx, cy, tangents[start, 3], tangents[start, 4], mx, my),
@@ -255,7 +255,7 @@ def cut_hull(
         size = max(size, abs(points[i, 0]), abs(points[i, 1]), abs(points[i, 2]))
     if points[lowest, 2] > radius or points[highest, 2] < -radius:
         return 0, 0.0
-    if count == 2 and points[highest, 2] - points[lowest, 2] <= _IN_PLANE:
+    if count == 2 and points[highest, 2] - points[lowest, 2] <= _EQUAL_HEIGHT:
         # No bound is required: all discs along the segment are equal.
         nearest = min(abs(points[lowest, 2]), abs(points[highest, 2]))
         for i in range(2):
@@ -275,12 +275,12 @@ def cut_hull(
     made, error = _draw_between(points, hull, error, tangents, after)
     sides, start = _drop_needless(made, error, tangents, after)
     for i in range(sides):
-        corners[i, 0], corners[i, 1] = _corner(tangents, start, after[start])
+        corners[i, 0], corners[i, 1] = _section_corner(tangents, start, after[start])
         start = after[start]
     return sides, hull.kept
 
 
-@inlined
+@inline
 def _thin(
     tangents: FloatArray, length: float, width: float, kept: float, error: float, corners: FloatArray
 ) -> tuple[int, float]:

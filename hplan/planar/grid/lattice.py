@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, Record, ShortArray, WordArray, readonly
-from hplan.base.deadline import until
+from hplan.base.deadline import kernel_time_limit
 from hplan.base.kernels import kernel
 from hplan.planar.grid.bits import popcount
 from hplan.planar.grid.grid import words_for
@@ -58,7 +58,7 @@ class Lattice(Record):
     move_costs: FloatArray
 
     @classmethod
-    def of(cls, shape: tuple[int, ...], step: FloatArray) -> Lattice:
+    def build(cls, shape: tuple[int, ...], step: FloatArray) -> Lattice:
         """Lattice of a grid with full connectivity.
 
         8 neighbours in 2-D, 26 in 3-D.
@@ -78,7 +78,7 @@ class Lattice(Record):
     @property
     def arrays(self) -> LatticeArrays:
         """Arrays for the kernels, with their deadline."""
-        return LatticeArrays(self.row_offsets, self.move_costs, self.row_coordinates, self.step, until())
+        return LatticeArrays(self.row_offsets, self.move_costs, self.row_coordinates, self.step, kernel_time_limit())
 
     @property
     def rows(self) -> int:
@@ -106,15 +106,15 @@ class Lattice(Record):
         bits = (1 << slices.stop) - (1 << slices.start)
         return np.frombuffer(bits.to_bytes(8 * self.words, "little"), dtype=np.uint64)
 
-    def bordered(self, words: WordArray) -> WordArray:
+    def add_border(self, words: WordArray) -> WordArray:
         """Add the border to (rows, words) rows."""
         result = np.zeros((*self.padded, words.shape[1]), dtype=np.uint64)
-        result[self._inside] = words.reshape(*self.shape[:-1], words.shape[1])
+        result[self._interior] = words.reshape(*self.shape[:-1], words.shape[1])
         return result.reshape(-1, words.shape[1])
 
-    def unbordered(self, words: WordArray) -> WordArray:
+    def remove_border(self, words: WordArray) -> WordArray:
         """Remove the border from (rows, words) rows."""
-        inside = words.reshape(*self.padded, words.shape[1])[self._inside]
+        inside = words.reshape(*self.padded, words.shape[1])[self._interior]
         return np.ascontiguousarray(inside).reshape(-1, words.shape[1])
 
     def indices(self, rows: IntArray, bits: IntArray) -> IntArray:
@@ -125,7 +125,7 @@ class Lattice(Record):
         return nodes
 
     @property
-    def _inside(self) -> tuple[slice, ...]:
+    def _interior(self) -> tuple[slice, ...]:
         return tuple(slice(1, -1) for _ in self.padded)
 
 
@@ -173,13 +173,13 @@ class NodeSet(NamedTuple):
     size: int
 
     @classmethod
-    def of(cls, words: WordArray) -> NodeSet:
+    def from_words(cls, words: WordArray) -> NodeSet:
         """Node set of (rows, words) bits."""
-        return numbered(words, np.flatnonzero(words.any(axis=1)))
+        return number_nodes(words, np.flatnonzero(words.any(axis=1)))
 
 
 @kernel
-def numbered(words: WordArray, rows: IntArray) -> NodeSet:
+def number_nodes(words: WordArray, rows: IntArray) -> NodeSet:
     """Node set, (rows, words) bits, of the given rows only."""
     ranks = np.empty(words.shape, dtype=np.int32)
     size = 0

@@ -31,8 +31,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, WordArray, frozen, readonly
-from hplan.base.deadline import check_deadline, is_up, until
-from hplan.base.kernels import inlined, kernel
+from hplan.base.deadline import check_deadline, is_up, kernel_time_limit
+from hplan.base.kernels import inline, kernel
 from hplan.errors import InputError
 from hplan.planar.grid.grid import Grid, Occupancy
 from hplan.planar.grid.rectangle_link import rectangle_half_angles
@@ -47,7 +47,7 @@ _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 _TOUCHING = 1e-12
 
 #: The deadline is checked at rows whose number has all of these bits clear.
-_OFTEN = 63
+_ROW_MASK = 63
 
 
 class _Links(NamedTuple):
@@ -119,8 +119,10 @@ def occupancy(arm: PlanarArm, sections: ArmSections, grid: Grid) -> Occupancy:
             f"{len(sections.link_start) - 1} links",
         )
     shape = np.array(grid.shape)
-    joints = _Links(arm.lengths, arm.half_widths, arm.signs, arm.offsets, grid.lower, grid.step, shape, until())
-    words = _fill(joints, LINK_MODELS.index(sections.link_model), sections.arrays)
+    joints = _Links(
+        arm.lengths, arm.half_widths, arm.signs, arm.offsets, grid.lower, grid.step, shape, kernel_time_limit()
+    )
+    words = _fill_rows(joints, LINK_MODELS.index(sections.link_model), sections.arrays)
     check_deadline()
     for (link, other, _), radius in zip(sections.own_pairs.tolist(), sections.own_radii.tolist(), strict=True):
         if link < links:
@@ -155,10 +157,10 @@ def _take_out_contact(words: WordArray, arm: PlanarArm, grid: Grid, link: int, o
         rows &= apart.free_words
     else:
         rows = words.reshape(len(rows), part.size, -1)
-        rows[:, apart.occupied.ravel()] = 0
+        rows[:, apart.occupied_mask.ravel()] = 0
 
 
-@inlined
+@inline
 def _disc_half_angle(rho: float, length: float, radius: float) -> float:
     """Half-angle of contact by equations (1) and (2), for rho > radius.
 
@@ -172,7 +174,7 @@ def _disc_half_angle(rho: float, length: float, radius: float) -> float:
     return math.acos(min(1.0, cosine))
 
 
-@inlined
+@inline
 def _disc_tangent(square: float, length: float, radius: float) -> tuple[float, float]:
     """Direction of `_disc_half_angle` for a squared distance: scaled cosine and sine.
 
@@ -223,7 +225,7 @@ def _polygon_interval(
             return 2, 0.0, 0.0
         along, across = _disc_tangent(square, length, radius)
         if along > 0.0 or across > 0.0:
-            cone = _widen(
+            cone = _widen_cone(
                 cone, bx * along + by * across, by * along - bx * across,
                 bx * along - by * across, by * along + bx * across,
             )  # fmt: skip
@@ -248,7 +250,7 @@ def _polygon_interval(
                         t = along / size + direction * chord
                         if 0.0 <= t <= size:
                             x, y = ax + t * ux + radius * uy, ay + t * uy - radius * ux
-                            cone = _widen(cone, x, y, x, y)
+                            cone = _widen_cone(cone, x, y, x, y)
         ax, ay, before = bx, by, square
     if inside:
         return 2, 0.0, 0.0
@@ -259,8 +261,8 @@ def _polygon_interval(
     return 1, low, low + max(0.0, math.atan2(lx * hy - ly * hx, lx * hx + ly * hy))
 
 
-@inlined
-def _widen(
+@inline
+def _widen_cone(
     cone: tuple[float, float, float, float], ax: float, ay: float, bx: float, by: float
 ) -> tuple[float, float, float, float]:
     """Widen a counter-clockwise cone of directions to include another.
@@ -307,8 +309,8 @@ def _mark(rows: WordArray, r: int, low: float, high: float, axis: _Axis) -> None
         low, high = low + turn, high + turn
 
 
-@inlined
-def _axis(links: _Links, k: int) -> _Axis:
+@inline
+def _bounding_axis(links: _Links, k: int) -> _Axis:
     """Grid axis of joint k."""
     return _Axis(links.lower[k], links.step[k], links.counts[k], links.signs[k], links.offsets[k])
 
@@ -320,7 +322,7 @@ def _fill_link(rows: WordArray, poses: _Poses, k: int, links: _Links, model: int
     A row with colliding earlier links is fully occupied.
     """
     alive, px, py, cos, sin = poses
-    length, half_width, axis = links.lengths[k], links.half_widths[k], _axis(links, k)
+    length, half_width, axis = links.lengths[k], links.half_widths[k], _bounding_axis(links, k)
     link_start, vertex_start, vertices, radii, bounds = sections
     words, first, last = rows.shape[1], link_start[k], link_start[k + 1]
     corner = math.hypot(length, half_width)
@@ -332,7 +334,7 @@ def _fill_link(rows: WordArray, poses: _Poses, k: int, links: _Links, model: int
             rows[r, w] = np.uint64(0) if blocked else (tail if w == words - 1 else _ALL)
         if blocked:
             continue
-        if r & _OFTEN == 0 and is_up(links.until):
+        if r & _ROW_MASK == 0 and is_up(links.until):
             break
         for s in range(first, last):
             dx, dy = bounds[s, 0] - px[r], bounds[s, 1] - py[r]
@@ -372,12 +374,12 @@ def _fill_link(rows: WordArray, poses: _Poses, k: int, links: _Links, model: int
 
 
 @kernel
-def _advance(rows: WordArray, poses: _Poses, k: int, links: _Links) -> _Poses:
+def _advance_cells(rows: WordArray, poses: _Poses, k: int, links: _Links) -> _Poses:
     """Poses of the next link's joint.
 
     From the rows of link k and the poses of its joint.
     """
-    length, axis = links.lengths[k], _axis(links, k)
+    length, axis = links.lengths[k], _bounding_axis(links, k)
     count = axis.size
     size = rows.shape[0] * count
     alive = np.empty(size, dtype=np.bool_)
@@ -399,7 +401,7 @@ def _advance(rows: WordArray, poses: _Poses, k: int, links: _Links) -> _Poses:
 
 
 @kernel
-def _fill(links: _Links, model: int, sections: SectionArrays) -> WordArray:
+def _fill_rows(links: _Links, model: int, sections: SectionArrays) -> WordArray:
     """Free bits of all rows, link by link."""
     poses = _Poses(np.ones(1, dtype=np.bool_), np.zeros(1), np.zeros(1), np.ones(1), np.zeros(1))
     rows = np.empty((1, (links.counts[0] + 63) >> 6), dtype=np.uint64)
@@ -407,7 +409,7 @@ def _fill(links: _Links, model: int, sections: SectionArrays) -> WordArray:
         if is_up(links.until):
             break
         if k > 0:
-            poses = _advance(rows, poses, k - 1, links)
+            poses = _advance_cells(rows, poses, k - 1, links)
             rows = np.empty((len(poses.alive), (links.counts[k] + 63) >> 6), dtype=np.uint64)
         _fill_link(rows, poses, k, links, model, sections)
     return rows

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from hplan.base.kernels import inlined, kernel
+from hplan.base.kernels import inline, kernel
 
 
 @kernel
@@ -44,7 +44,7 @@ def rectangle_half_angles(rho: float, length: float, half_width: float, radius: 
     return lowest, highest
 
 
-@inlined
+@inline
 def _arc(rho: float, centre: float, radius: float) -> float:
     """Angle between directions to a circle's centre and a point.
 

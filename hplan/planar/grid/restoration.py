@@ -11,7 +11,7 @@ import numpy as np
 
 from hplan.base.arrays import BoolArray, IntArray, WordArray
 from hplan.base.kernels import kernel
-from hplan.planar.grid.lattice import Lattice, Node, NodeSet, numbered
+from hplan.planar.grid.lattice import Lattice, Node, NodeSet, number_nodes
 from hplan.planar.grid.result import SlicePaths
 
 
@@ -32,12 +32,12 @@ def union_of(
         neighbour's path.
     """
     ends = lattice.node(start), lattice.node(goal)
-    nodes, restored = _united(free, layers.path_rows, layers.begins, layers.first, *ends, beyond)
+    nodes, restored = _unite_paths(free, layers.path_rows, layers.begins, layers.first, *ends, beyond)
     return nodes, tuple(np.flatnonzero(restored).tolist())
 
 
 @kernel
-def _united(
+def _unite_paths(
     free: WordArray, path_rows: IntArray, begins: IntArray, first: int, start: Node, goal: Node, beyond: bool
 ) -> tuple[NodeSet, BoolArray]:
     """Union of start, goal, all paths and restored segments.
@@ -66,7 +66,7 @@ def _united(
     _restore(free, path_rows, begins, first, descending, union, restored)
     if beyond:
         _restore(free, path_rows, begins, first, not descending, union, restored)
-    return numbered(union, rows[:count].copy()), restored
+    return number_nodes(union, rows[:count].copy()), restored
 
 
 @kernel

@@ -12,13 +12,13 @@ import math
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.base.kernels import inlined, kernel
+from hplan.base.kernels import inline, kernel
 from hplan.planar.grid.cutting_arrays import ArmPlane, Balls, Cut, Hulls, LinkExtents
 from hplan.planar.grid.hull_section import MOST_TANGENTS, cut_hull
 
 
 @kernel
-def _seen(points: FloatArray, plane: ArmPlane, lateral: float, turned: FloatArray) -> tuple[float, float]:
+def _to_plane(points: FloatArray, plane: ArmPlane, lateral: float, turned: FloatArray) -> tuple[float, float]:
     """Write a hull's core points in coordinates of a plane [m].
 
     The plane of a link.
@@ -39,8 +39,8 @@ def _seen(points: FloatArray, plane: ArmPlane, lateral: float, turned: FloatArra
     return (ex / length, ey / length) if length > 1e-9 else (1.0, 0.0)
 
 
-@inlined
-def _largest(links: LinkExtents) -> tuple[float, float, float]:
+@inline
+def _largest_sizes(links: LinkExtents) -> tuple[float, float, float]:
     """Maximum width, reach and distance from the plane over all links."""
     widest, farthest, aside = 0.0, 0.0, 0.0
     for k in range(len(links.growth)):
@@ -49,11 +49,11 @@ def _largest(links: LinkExtents) -> tuple[float, float, float]:
     return widest, farthest, aside
 
 
-@inlined
+@inline
 def _near_balls(balls: Balls, plane: ArmPlane, links: LinkExtents) -> tuple[int, IntArray, FloatArray]:
     """Number, indices and plane coordinates of balls that links reach."""
     (centres, radii, _), (origin, axes) = balls, plane
-    widest, farthest, aside = _largest(links)
+    widest, farthest, aside = _largest_sizes(links)
     near, places = np.empty(len(radii), dtype=np.int64), np.empty((len(radii), 3))
     found = 0
     for b in range(len(radii)):
@@ -99,14 +99,14 @@ def cut_balls(balls: Balls, plane: ArmPlane, links: LinkExtents) -> Cut:
     return Cut(link_start, vertex_start, vertices, discs, owners)
 
 
-@inlined
+@inline
 def _near_hulls(hulls: Hulls, plane: ArmPlane, links: LinkExtents) -> tuple[int, IntArray, int]:
     """Number and indices of the hulls within reach of any link.
 
     The third value is the maximum number of points of these hulls.
     """
     (_, starts, radii, _, bounds), (origin, axes) = hulls, plane
-    widest, farthest, aside = _largest(links)
+    widest, farthest, aside = _largest_sizes(links)
     near = np.empty(len(bounds), dtype=np.int64)
     found, most = 0, 0
     for b in range(len(bounds)):
@@ -120,7 +120,7 @@ def _near_hulls(hulls: Hulls, plane: ArmPlane, links: LinkExtents) -> tuple[int,
     return found, near, most
 
 
-@inlined
+@inline
 def _disc_around(corners: FloatArray, count: int, rounding: float) -> tuple[float, float, float]:
     """Centre and radius of a disc around a rounded polygon.
 
@@ -170,7 +170,7 @@ def cut_hulls(hulls: Hulls, plane: ArmPlane, links: LinkExtents, error: float, b
         for c in range(found):
             b = near[c]
             size = starts[b + 1] - starts[b]
-            along = _seen(points[starts[b] : starts[b + 1]], plane, lateral[k], turned)
+            along = _to_plane(points[starts[b] : starts[b + 1]], plane, lateral[k], turned)
             sides, rounding = cut_hull(turned[:size], radii[b] + growth[k], along, error, tangents, after, corners)
             if sides == 0:
                 continue

@@ -134,14 +134,14 @@ def sections_at(
     sections = _cut(robot, obstacles, yaw, link_model, within_reach=within_reach)
     if obstacles.links is not None:
         links = sections.links
-        sections = _picked(sections, np.flatnonzero(obstacles.links[sections.obstacle_of, links]), links)
+        sections = _pick_sections(sections, np.flatnonzero(obstacles.links[sections.obstacle_of, links]), links)
     contact = checked_contact(robot, deviation=obstacles.deviation, clearance=obstacles.own_clearance)
     if contact.bodies:
         same = tuple(body for body in contact.bodies if body.follows_arm_plane)
         others = tuple(body for body in contact.bodies if not body.follows_arm_plane)
-        sections = _joined(sections, _constant_sections(robot, same, obstacles))
+        sections = _join_sections(sections, _constant_sections(robot, same, obstacles))
         if others:
-            sections = _joined(sections, _base_sections(robot, others, obstacles, yaw))
+            sections = _join_sections(sections, _base_sections(robot, others, obstacles, yaw))
     if contact.bodies or contact.links:
         sections = _with_own_pairs(sections, robot, contact, obstacles)
     return sections
@@ -248,10 +248,10 @@ def _base_sections(robot: Robot, parts: Sequence[BaseShape], obstacles: Prepared
     cut = _cut(robot, grown, yaw, "capsule", within_reach=True)
     links = cut.links
     wanted = [link in parts[body].links for link, body in zip(links, cut.obstacle_of, strict=True)]
-    return _picked(cut, np.flatnonzero(wanted), links)
+    return _pick_sections(cut, np.flatnonzero(wanted), links)
 
 
-def _picked(sections: ArmSections, kept: IntArray, links: IntArray) -> ArmSections:
+def _pick_sections(sections: ArmSections, kept: IntArray, links: IntArray) -> ArmSections:
     """Select the sections `kept` by index, ordered by link.
 
     Args:
@@ -272,7 +272,7 @@ def _picked(sections: ArmSections, kept: IntArray, links: IntArray) -> ArmSectio
     )
 
 
-def _joined(first: ArmSections, second: ArmSections) -> ArmSections:
+def _join_sections(first: ArmSections, second: ArmSections) -> ArmSections:
     """Concatenate the sections of both, the first before the second."""
     both = replace(
         first,
@@ -283,13 +283,13 @@ def _joined(first: ArmSections, second: ArmSections) -> ArmSections:
         obstacle_of=np.concatenate([first.obstacle_of, len(first.obstacle_names) + second.obstacle_of]),
         obstacle_names=(*first.obstacle_names, *second.obstacle_names),
     )
-    return _picked(both, np.arange(len(both.radii)), np.concatenate([first.links, second.links]))
+    return _pick_sections(both, np.arange(len(both.radii)), np.concatenate([first.links, second.links]))
 
 
-def only(sections: ArmSections, link: int, obstacle: int) -> ArmSections:
+def select_sections(sections: ArmSections, link: int, obstacle: int) -> ArmSections:
     """Sections of one obstacle for one link; used to identify blocking pairs."""
     links = sections.links
-    made = _picked(sections, np.flatnonzero((links == link) & (sections.obstacle_of == obstacle)), links)
+    made = _pick_sections(sections, np.flatnonzero((links == link) & (sections.obstacle_of == obstacle)), links)
     own = (sections.own_pairs[:, 0] == link) & (sections.own_pairs[:, 2] == obstacle)
     return replace(made, own_pairs=frozen(sections.own_pairs[own]), own_radii=frozen(sections.own_radii[own]))
 

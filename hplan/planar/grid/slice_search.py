@@ -48,7 +48,7 @@ def search_slices(
     # Search from the end whose own slice has a path: the other end's exit is then known, and is the longer part.
     from_goal = octile and len(wanted) > 0 and bool(goal[-1] in wanted and start[-1] not in wanted)
     ends = (goal_row, start_row) if from_goal else (start_row, goal_row)
-    rows, begins, expansions = _search(free, wanted, ends, lattice.arrays, octile, from_goal)
+    rows, begins, expansions = _search_rows(free, wanted, ends, lattice.arrays, octile, from_goal)
     check_deadline()
     lengths = np.zeros(len(slices), dtype=np.int64)
     lengths[wanted - slices[0]] = np.diff(begins)
@@ -82,7 +82,7 @@ class _Changes(NamedTuple):
 
 
 @kernel
-def _search(
+def _search_rows(
     free: WordArray, wanted: IntArray, ends: tuple[int, int], lattice: LatticeArrays, octile: bool, backward: bool
 ) -> tuple[IntArray, IntArray, int]:
     """Search slices between two rows, in the order given.

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hplan.base.arrays import FloatArray, WordArray, frozen
-from hplan.base.deadline import check_deadline, is_up, until
+from hplan.base.deadline import check_deadline, is_up, kernel_time_limit
 from hplan.base.forking import renewed_in_children
 from hplan.base.kernels import kernel
 from hplan.errors import OptionError
@@ -26,10 +26,10 @@ from hplan.planar.grid.sections import ArmSections, sections_at
 from hplan.robot.model import Robot
 
 #: Maximum size of a C-space with a turning base [bytes], one bit per node; a search needs five times this memory.
-_MOST_BYTES = 150_000_000
+_MOST_CSPACE_BYTES = 150_000_000
 
 #: The deadline is checked at rows whose number has all of these bits clear.
-_OFTEN = 63
+_LAYER_MASK = 63
 
 
 class YawAxis(NamedTuple):
@@ -125,12 +125,12 @@ def turning_occupancy(
     """
     first, step, count = yaws
     size = 8 * planar.size * words_for(count)
-    if size > _MOST_BYTES:
+    if size > _MOST_CSPACE_BYTES:
         raise OptionError(
             "step_deg",
             round(math.degrees(step), 6),
             f"a larger step: with the base turning, one bit for each of {planar.size} nodes and {count} yaws takes "
-            f"{size / 1e6:.0f} MB, more than {_MOST_BYTES / 1e6:.0f} MB, and a search takes five times as much",
+            f"{size / 1e6:.0f} MB, more than {_MOST_CSPACE_BYTES / 1e6:.0f} MB, and a search takes five times as much",
         )
     grid = Grid(np.append(planar.lower, first), np.append(planar.step, step), (*planar.shape, count))
     words = np.empty((planar.size, words_for(count)), dtype=np.uint64)
@@ -138,7 +138,7 @@ def turning_occupancy(
         some = first + step * np.arange(64 * place, min(count, 64 * place + 64))
         sections = (sections_at(robot, obstacles, yaw) for yaw in some.tolist())
         free = np.stack([layers.free_words(robot, each, planar) for each in sections])
-        _stack(free, planar.shape[-1], place, words, until())
+        _stack(free, planar.shape[-1], place, words, kernel_time_limit())
         check_deadline()
     return Occupancy(grid, frozen(words))
 
@@ -155,7 +155,7 @@ def _stack(free: WordArray, count: int, place: int, words: WordArray, until: Flo
     layers, rows, planar_words = free.shape
     block = np.empty(64, dtype=np.uint64)
     for row in range(rows):
-        if row & _OFTEN == 0 and is_up(until):
+        if row & _LAYER_MASK == 0 and is_up(until):
             break
         for word in range(planar_words):
             for k in range(64):

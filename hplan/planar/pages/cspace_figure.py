@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hplan.apps.view.figures import FAINT, GOAL, INK, OBSTACLE, START, new_figure, styled
-from hplan.planar.pages.cspace_surface import draw_cspace_obstacle, hidden, joint_box
+from hplan.apps.view.figures import FAINT, GOAL, INK, OBSTACLE, START, apply_style, new_figure
+from hplan.planar.pages.cspace_surface import draw_cspace_obstacle, hidden_by_surface, joint_box
 from hplan.planar.pages.yaw_section import YawSection
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _NEAR, _FAR = INK, "#A9BBCB"
 
 
-@styled
+@apply_style
 def cspace_at_yaw(section: YawSection, title: str = "") -> Figure:
     """Draw the forbidden region at one yaw and the projected motion.
 
@@ -74,7 +74,7 @@ def _draw_motion(axes: Any, section: YawSection, towards: Any, color_of: Any) ->
     from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
     points = np.degrees(section.path)
-    covered = hidden(section.field, section.grid.position(section.path), towards)
+    covered = hidden_by_surface(section.field, section.grid.position(section.path), towards)
     pieces = np.stack([points[:-1], points[1:]], axis=1)
     dark = covered[:-1] | covered[1:]
     fraction = section.yaw_distance[:-1] / max(float(section.yaw_distance.max()), 1e-9)

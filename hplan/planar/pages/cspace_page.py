@@ -15,7 +15,7 @@ import numpy as np
 
 from hplan.apps.view import framing
 from hplan.apps.view import three_js as three
-from hplan.apps.view.commands import ROOT, animation, clip, moving, node, set_object, set_transform
+from hplan.apps.view.commands import ROOT, animation, clip, node, set_object, set_transform, translation_track
 from hplan.apps.view.page import document
 from hplan.apps.view.scene_stage import GOAL_COLOR, REST_S, START_COLOR
 from hplan.apps.view.three_js import Body, Json
@@ -25,7 +25,7 @@ from hplan.planar.pages.cspace_surface import surface_net
 from hplan.planar.pages.yaw_section import YawSection
 
 _REGION_COLOR = 0xE07B39
-_FAR = np.array([0.72, 0.79, 0.85])
+_FAR_COLOR = np.array([0.72, 0.79, 0.85])
 _NEAR = np.array([0.133, 0.188, 0.235])
 _BOX_COLOR = np.array([0.40, 0.46, 0.52, 0.8])
 _FAINT_COLOR = np.array([0.40, 0.46, 0.52, 0.25])
@@ -47,7 +47,7 @@ def render_cspace_page(section: YawSection, title: str) -> str:
     far = math.degrees(float(section.yaw_distance.max()))
     entries = [("Forbidden", [_REGION_COLOR]), ("Motion", [0x22303C])]
     if far > 0.5:
-        entries.append((f"Motion at a yaw {far:.0f}° away", [three.color_of(_FAR)]))
+        entries.append((f"Motion at a yaw {far:.0f}° away", [three.color_of(_FAR_COLOR)]))
     entries += [("Start", [START_COLOR]), ("Goal", [GOAL_COLOR])]
     return document(title, words, entries, _commands(section))
 
@@ -58,7 +58,7 @@ def _commands(section: YawSection) -> list[Json]:
     azimuth, elevation = np.radians(section.view)
     # The labels are outside the cube.
     view = framing.frame(1.2 * corners, float(azimuth), float(elevation))
-    motion = _place(section, section.grid.position(section.path))
+    motion = _cube_positions(section, section.grid.position(section.path))
     commands = [
         *framing.lights(view),
         *framing.camera(view),
@@ -72,18 +72,20 @@ def _commands(section: YawSection) -> list[Json]:
         body = Body()
         # The wall is invisible from inside the region, which only a motion at another yaw can enter.
         look = three.material(_REGION_COLOR, opacity=0.88, roughness=0.8)
-        body.add(three.surface(_place(section, vertices), faces), look, name="forbidden", shadow=False)
+        body.add(three.surface(_cube_positions(section, vertices), faces), look, name="forbidden", shadow=False)
         commands.append(set_object(f"{ROOT}/forbidden", body))
     ball, path = Body(), f"{ROOT}/arm"
     ball.add(three.sphere(0.035), three.material(0xFFC53D), name="arm", shadow=False)
     commands += [set_object(path, ball), set_transform(path, three.transform(position=motion[0]))]
     if section.times[-1] > 0.0:
         end = section.times[-1] + REST_S
-        commands.append(animation([clip(path, moving([*section.times, end], np.vstack([motion, motion[-1:]])))]))
+        commands.append(
+            animation([clip(path, translation_track([*section.times, end], np.vstack([motion, motion[-1:]])))])
+        )
     return commands
 
 
-def _place(section: YawSection, nodes: FloatArray) -> FloatArray:
+def _cube_positions(section: YawSection, nodes: FloatArray) -> FloatArray:
     """Positions in the cube of (n, 3) grid positions [m].
 
     Grid positions are in units of nodes.
@@ -101,7 +103,7 @@ def _motion(section: YawSection, motion: FloatArray) -> Body:
         points = np.column_stack([np.interp(evenly, along, axis) for axis in motion.T])
         farthest = max(float(section.yaw_distance.max()), math.radians(0.5))
         fraction = np.interp(evenly, along, section.yaw_distance / farthest)
-        colors = _NEAR + fraction[:, None] * (_FAR - _NEAR)
+        colors = _NEAR + fraction[:, None] * (_FAR_COLOR - _NEAR)
         look = three.material(0xFFFFFF, kind="MeshLambertMaterial", vertexColors=True)
         body.add(three.tube(points, 0.014, colors), look, name="way", shadow=False)
     return body
@@ -115,7 +117,7 @@ def _ticks(section: YawSection, axis: int) -> list[float]:
     return [float(tick) for tick in ticks]
 
 
-def _at(section: YawSection, axis: int, degrees: float) -> float:
+def _edge_position(section: YawSection, axis: int, degrees: float) -> float:
     """Position of an angle along its edge of the cube [m]."""
     grid = section.grid
     fraction = (math.radians(degrees) - grid.lower[axis]) / (grid.step[axis] * (grid.shape[axis] - 1))
@@ -145,7 +147,7 @@ def _box(section: YawSection) -> Body:
     for axis in range(2):
         for tick in _ticks(section, axis):
             ends = np.zeros((2, 3))
-            ends[:, axis], ends[:, 1 - axis], ends[:, 2] = _at(section, axis, tick), (-half, half), -half
+            ends[:, axis], ends[:, 1 - axis], ends[:, 2] = _edge_position(section, axis, tick), (-half, half), -half
             line(ends[0], ends[1], _FAINT_COLOR)
     body = Body()
     look = three.material(0xFFFFFF, opacity=0.999, kind="LineBasicMaterial", vertexColors=True, depthWrite=False)
@@ -170,7 +172,7 @@ def _labels(section: YawSection) -> list[Json]:
     )
     commands = []
     for axis, place in lines:
-        texts = [(f"{tick:g}", _at(section, axis, tick), outside) for tick in _ticks(section, axis)]
+        texts = [(f"{tick:g}", _edge_position(section, axis, tick), outside) for tick in _ticks(section, axis)]
         if axis == 2:
             del texts[:1]  # it would overlap the label of the second joint's end
         texts.append((f"{section.joint_names[axis]} [deg]", 0.0, outside + 0.26 * half))

@@ -78,7 +78,7 @@ def surface_net(field: FloatArray) -> tuple[FloatArray, IntArray]:
     return vertices, np.concatenate(faces)
 
 
-def hidden(field: FloatArray, points: FloatArray, towards: FloatArray, gap: float = 2.5) -> BoolArray:
+def hidden_by_surface(field: FloatArray, points: FloatArray, towards: FloatArray, gap: float = 2.5) -> BoolArray:
     """Mask of the points that the surface hides.
 
     Args:

@@ -18,7 +18,7 @@ from hplan.base.arrays import FloatArray, frozen
 from hplan.errors import InputError, OptionError
 from hplan.geometry.polyline import stations
 from hplan.planar.grid.grid import Grid
-from hplan.planar.pages.cspace_surface import hidden
+from hplan.planar.pages.cspace_surface import hidden_by_surface
 from hplan.planning.options import PlanOptions
 from hplan.planning.world import World
 from hplan.robot.model import Robot
@@ -66,7 +66,7 @@ class YawSection:
         for elevation in elevations:
             for azimuth in azimuths:
                 towards = view_axes(math.radians(azimuth), math.radians(elevation))[2]
-                behind = float(weights @ hidden(self.field, nodes, towards) / weights.sum())
+                behind = float(weights @ hidden_by_surface(self.field, nodes, towards) / weights.sum())
                 across = size - np.outer(size @ towards, towards)
                 cost = behind - 0.2 * float(np.sqrt(np.square(across).sum(axis=1)).max())
                 if cost < best:
@@ -98,7 +98,7 @@ def yaw_section(
     motion, times = trajectory.position[rows], trajectory.time[rows]
     at = robot.yaw_of(motion[-1]) if yaw is None else yaw
     choice = PlanOptions() if options is None else options
-    world = World.of(
+    world = World.build(
         robot,
         [solid for solid in scene.solids if solid.name not in playback.picked],
         clearance=scene.clearance,
@@ -147,7 +147,7 @@ def check_yaw(robot: Robot, yaw: float | None) -> None:
 def _grid(robot: Robot) -> Grid:
     span = robot.arm.upper - robot.arm.lower
     step = max(math.radians(_STEP_DEG), float(np.prod(span) / _MOST_NODES) ** (1.0 / 3.0))
-    return Grid.over(robot.arm.lower, robot.arm.upper, step)
+    return Grid.from_limits(robot.arm.lower, robot.arm.upper, step)
 
 
 def _field(robot: Robot, world: World, grid: Grid, yaw: float) -> FloatArray:

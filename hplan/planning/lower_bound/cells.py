@@ -36,7 +36,7 @@ AXES = 3
 _FAR = 0.1
 
 
-class Cells(NamedTuple):
+class ClearCells(NamedTuple):
     """A grid over some joints; bits run along the first axis.
 
     Attributes:
@@ -63,7 +63,7 @@ class Cells(NamedTuple):
 
 
 @kernel
-def take_occupied(free: WordArray, field: FieldArrays, cells: Cells) -> None:
+def take_occupied(free: WordArray, field: FieldArrays, cells: ClearCells) -> None:
     """Clear the bits of cells proved to be entirely in contact.
 
     Args:
@@ -100,7 +100,7 @@ def take_occupied(free: WordArray, field: FieldArrays, cells: Cells) -> None:
 
 
 @kernel
-def _window(cells: Cells, at: IntArray) -> tuple[int, int]:
+def _window(cells: ClearCells, at: IntArray) -> tuple[int, int]:
     """First and last cell of a row that a motion can occupy.
 
     `at` has the cells of the other axes.
@@ -122,7 +122,7 @@ def _sift_row(
     window: tuple[int, int],
     work: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     field: FieldArrays,
-    cells: Cells,
+    cells: ClearCells,
 ) -> int:
     """Mark the cells of a row that are entirely in contact.
 

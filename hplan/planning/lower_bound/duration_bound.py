@@ -171,10 +171,10 @@ def _on_grids(
             # the same.
             longest = min(duration_s, _LONGER * excluded) or duration_s
             axes = _axes(obstacles, motions, longest)
-            grid = TimedGrid.of(motions.only(axes), longest, count)
+            grid = TimedGrid.build(motions.select(axes), longest, count)
             if not len(axes) or grid.words > _MOST_WORDS:
                 break
-            search = GridSearch.of(obstacles, excess, motions, axes, grid)
+            search = GridSearch.build(obstacles, excess, motions, axes, grid)
             if search.is_possible(longest):
                 excluded = _longest(search, excluded, longest)
                 break
@@ -214,8 +214,8 @@ def _obstacles(world: World) -> ClearanceField:
     excess = np.array([solid.excess for solid in linked.solids])
     field = replace(linked, growth=linked.growth - excess).field(world.robot, own_clearance=world.clearance)
     if world.touched:
-        field = field.sparing(linked.named(world.touched))
-    return field.only(np.ones(len(linked.solids), dtype=np.bool_), arm=False)
+        field = field.ignoring_last_link(linked.name_mask(world.touched))
+    return field.select(np.ones(len(linked.solids), dtype=np.bool_), arm=False)
 
 
 def _longest(search: GridSearch, excluded: float, possible: float) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, Record, WordArray, frozen
 from hplan.collision.clearance_field import ClearanceField
-from hplan.planning.lower_bound.cells import AXES, Cells, Samples, is_reachable, take_occupied
+from hplan.planning.lower_bound.cells import AXES, ClearCells, Samples, is_reachable, take_occupied
 from hplan.planning.lower_bound.joint_tubes import JointMotions
 
 #: Number of parts of a cell, and the bits of 64 free cells.
@@ -17,7 +17,7 @@ _PARTS, _ALL = 16, np.uint64(2**64 - 1)
 
 #: Approximate maximum number of configurations to query per group of bodies that the same joints move; fewer with
 #: hulls.
-_LOOKS = 4e6
+_CHECKED_FRACTIONS = 4e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class TimedGrid(Record):
     counts: IntArray
 
     @classmethod
-    def of(cls, motions: JointMotions, longest: float, samples: int) -> TimedGrid:
+    def build(cls, motions: JointMotions, longest: float, samples: int) -> TimedGrid:
         """The grid for motions up to a duration.
 
         Args:
@@ -100,7 +100,7 @@ class GridSearch(Record):
         return samples is not None and is_reachable(self.free, samples)
 
     @classmethod
-    def of(
+    def build(
         cls, obstacles: ClearanceField, excess: FloatArray, motions: JointMotions, joints: IntArray, grid: TimedGrid
     ) -> GridSearch:
         """The search over a grid.
@@ -127,7 +127,7 @@ class GridSearch(Record):
         is_checked = bodies["is_checked"]
         for group in sorted({tuple(row) for row in moved[is_checked].tolist()}, key=lambda row: (sum(row), row)):
             chosen = is_checked & (moved == np.array(group)).all(axis=1)
-            parts = _parts(obstacles.reaches[chosen].max(axis=0) * sizes, int(joints[0]))
+            parts = _cell_divisions(obstacles.reaches[chosen].max(axis=0) * sizes, int(joints[0]))
             # Skip bodies that a part may move by more than their own radius: they are hardly ever in contact so deeply.
             chosen &= 0.5 * obstacles.reaches @ (sizes / parts) < bodies["ball_radius"]
             if not chosen.any():
@@ -138,21 +138,21 @@ class GridSearch(Record):
             reaches = frozen(obstacles.reaches[chosen])
             field = obstacles.arrays._replace(bodies=frozen(bodies[chosen]), reaches=reaches)
             points = (bodies["last"] - bodies["first"])[chosen].max() / 3.0
-            of_bodies = reaches, excess[chosen], int(_LOOKS / (1.0 + points / 8.0))
-            known = free[_along(axes)]
+            of_bodies = reaches, excess[chosen], int(_CHECKED_FRACTIONS / (1.0 + points / 8.0))
+            known = free[_first_cells(axes)]
             if known.shape != free.shape:
                 known = np.full_like(known, _ALL)
-            take_occupied(known, field, Cells(axes, lower, sizes, parts, samples.first, samples.last, *of_bodies))
+            take_occupied(known, field, ClearCells(axes, lower, sizes, parts, samples.first, samples.last, *of_bodies))
             free &= known
         return cls(grid, free)
 
 
-def _along(axes: IntArray) -> tuple[slice, ...]:
+def _first_cells(axes: IntArray) -> tuple[slice, ...]:
     """Index of the first cells along axes without a joint."""
     return tuple(slice(None) if joint >= 0 else slice(0, 1) for joint in axes[1:])
 
 
-def _parts(moved: FloatArray, first: int) -> IntArray:
+def _cell_divisions(moved: FloatArray, first: int) -> IntArray:
     """(dof,) numbers of parts into which cells are divided.
 
     Parts are halved along the joint that moves bodies farthest within a part.

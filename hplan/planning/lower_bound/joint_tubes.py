@@ -22,11 +22,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, Record
-from hplan.certificate.task_check import SAME
+from hplan.certificate.task_check import TASK_TOLERANCE
 from hplan.robot.limits import rest_to_rest
 
 #: Position error allowed for the certificate's tolerances and rounding [rad].
-SLACK = SAME + 2e-6
+SLACK = TASK_TOLERANCE + 2e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class JointMotions(Record):
     acceleration: FloatArray
     jerk: FloatArray
 
-    def only(self, joints: IntArray | list[int]) -> JointMotions:
+    def select(self, joints: IntArray | list[int]) -> JointMotions:
         """The motions of some of the joints, by their numbers."""
         return JointMotions(**{name: values[joints] for name, values in vars(self).items()})
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from hplan.base.arguments import file_path, instance, whole
+from hplan.base.arguments import check_integer, file_path, instance
 from hplan.base.data_files import LIMITS_SUFFIX
 from hplan.base.files import write_text
 from hplan.errors import OptionError, OutputError, RobotFileError
@@ -105,8 +105,8 @@ def cross_check(urdf_path: Path | str, samples: int = 100, seed: int = 0) -> Cro
     """
     import yourdfpy
 
-    whole("samples", samples, 1)
-    whole("seed", seed, 0)
+    check_integer("samples", samples, 1)
+    check_integer("seed", seed, 0)
     path = file_path("urdf_path", urdf_path)
     model, _, _ = read_models(path)
     for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):

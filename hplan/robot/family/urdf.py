@@ -39,7 +39,7 @@ class _Round(NamedTuple):
     foot: tuple[float, float, float] = (0.0, 0.0, 0.0)
     capped: bool = False
 
-    def at(self, along: float) -> list[float]:
+    def point_at(self, along: float) -> list[float]:
         """Point of the centre line at a coordinate along the axis."""
         return [along if k == self.axis else place for k, place in enumerate(self.foot)]
 
@@ -48,18 +48,18 @@ class _Round(NamedTuple):
         low, high = self.ends
         length, middle = high - low, 0.5 * (low + high)
         if not self.capped:
-            length, middle = _nine(length), _nine(middle)
-        side = {"radius": _text(self.radius), "length": _text(length)}
-        shapes = [("_side" if self.capped else "", self.at(middle), "cylinder", side)]
+            length, middle = _round_to_nine(length), _round_to_nine(middle)
+        side = {"radius": _number_text(self.radius), "length": _number_text(length)}
+        shapes = [("_side" if self.capped else "", self.point_at(middle), "cylinder", side)]
         if self.capped:
-            ball = {"radius": _text(self.radius)}
-            shapes += [(part, self.at(end), "sphere", ball) for part, end in (("_near", low), ("_far", high))]
+            ball = {"radius": _number_text(self.radius)}
+            shapes += [(part, self.point_at(end), "sphere", ball) for part, end in (("_near", low), ("_far", high))]
         for tag in ("visual", "collision"):
             for part, center, kind, size in shapes:
                 shape = ET.SubElement(link, tag, name=self.name + part)
-                origin = ET.SubElement(shape, "origin", xyz=_text(*center))
+                origin = ET.SubElement(shape, "origin", xyz=_number_text(*center))
                 if kind == "cylinder" and self.axis < 2:
-                    origin.set("rpy", _text(*_TURNED[self.axis]))
+                    origin.set("rpy", _number_text(*_TURNED[self.axis]))
                 ET.SubElement(ET.SubElement(shape, "geometry"), kind, size)
                 if tag == "visual":
                     ET.SubElement(shape, "material", name=color)
@@ -74,11 +74,11 @@ def urdf_text(spec: ArmSpec) -> str:
         ET.SubElement(ET.SubElement(root, "material", name=name), "color", rgba=color)
     height, radius, (x, y) = spec.shoulder_height, min(0.15, 2.8 * spec.link_half_widths[0]), spec.yaw_axis
     # Top of the pedestal as a fraction of the shoulder height.
-    top = _nine(0.62 * height)
-    pedestal = _Round("pedestal", 2, (0.0, top), _nine(radius), (x, y, 0.0))
+    top = _round_to_nine(0.62 * height)
+    pedestal = _Round("pedestal", 2, (0.0, top), _round_to_nine(radius), (x, y, 0.0))
     _add_link(root, "base_link", [pedestal], spec.base_mass, "graphite")
     # The turret's body ends at the shoulder axis: only the first link's own capsule extends above it.
-    turret = [_Round("turret_body", 2, (top, height), _nine(0.8 * radius))]
+    turret = [_Round("turret_body", 2, (top, height), _round_to_nine(0.8 * radius))]
     beside = spec.shoulder_offset + spec.body_offsets[0]
     if beside != 0.0:
         # Axle that carries a shoulder offset from the yaw axis.
@@ -117,10 +117,10 @@ def _add_link(root: ET.Element, name: str, shapes: Sequence[_Round], mass: float
     spin, tumble = mass * radius**2 / 2.0, mass * (3.0 * radius**2 + length**2) / 12.0
     moments = dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0")
     for axis, key in enumerate(("ixx", "iyy", "izz")):
-        moments[key] = _text(_nine(spin if axis == body.axis else tumble))
+        moments[key] = _number_text(_round_to_nine(spin if axis == body.axis else tumble))
     inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=_text(*body.at(_nine(0.5 * sum(body.ends)))))
-    ET.SubElement(inertial, "mass", value=_text(mass))
+    ET.SubElement(inertial, "origin", xyz=_number_text(*body.point_at(_round_to_nine(0.5 * sum(body.ends)))))
+    ET.SubElement(inertial, "mass", value=_number_text(mass))
     ET.SubElement(inertial, "inertia", moments)
     for shape in shapes:
         shape.add_to(link, color)
@@ -138,22 +138,22 @@ def _add_joint(
     """Add a joint: revolute with limits in the specification, else fixed."""
     moves = name in spec.joint_names
     joint = ET.SubElement(root, "joint", name=name, type="revolute" if moves else "fixed")
-    ET.SubElement(joint, "origin", xyz=_text(*place))
+    ET.SubElement(joint, "origin", xyz=_number_text(*place))
     ET.SubElement(joint, "parent", link=parent)
     ET.SubElement(joint, "child", link=child)
     if moves:
         k = spec.joint_names.index(name)
-        ET.SubElement(joint, "axis", xyz=_text(*axis))
-        limits = {key: _text(getattr(spec, key)[k]) for key in ("lower", "upper", "velocity", "effort")}
+        ET.SubElement(joint, "axis", xyz=_number_text(*axis))
+        limits = {key: _number_text(getattr(spec, key)[k]) for key in ("lower", "upper", "velocity", "effort")}
         ET.SubElement(joint, "limit", limits)
 
 
-def _nine(value: float) -> float:
+def _round_to_nine(value: float) -> float:
     """Round to nine digits, which hides binary rounding noise."""
     return float(f"{value:.9g}")
 
 
-def _text(*values: float) -> str:
+def _number_text(*values: float) -> str:
     """Shortest exact text of numbers, without `.0` or a negative zero."""
     return " ".join(repr(value + 0.0).removesuffix(".0") for value in values)
 

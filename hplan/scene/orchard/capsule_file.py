@@ -9,7 +9,7 @@ import math
 from collections import Counter
 from pathlib import Path
 
-from hplan.base.arguments import between, list_between
+from hplan.base.arguments import check_between, list_between
 from hplan.base.csv_file import CsvFile
 from hplan.errors import OptionError
 from hplan.scene.limits import Vector
@@ -18,8 +18,8 @@ from hplan.scene.obstacles import Capsule
 from hplan.scene.orchard.options import FARTHEST
 from hplan.scene.orchard.wood import capsule
 
-_NUMBERS = ("x1", "y1", "z1", "x2", "y2", "z2", "radius")
-_COLUMNS = ("kind", *_NUMBERS)
+_CAPSULE_NUMBERS = ("x1", "y1", "z1", "x2", "y2", "z2", "radius")
+_CSV_COLUMNS = ("kind", *_CAPSULE_NUMBERS)
 
 #: Kind of fruit rows.
 FRUIT = "fruit"
@@ -68,24 +68,24 @@ def import_tree(
     place = list_between("position", position, -FARTHEST, FARTHEST)
     if len(place) != 3:
         raise OptionError("position", position, "three numbers x, y, z [m]")
-    turn = math.radians(between("yaw_deg", yaw_deg, -FARTHEST, FARTHEST))
+    turn = math.radians(check_between("yaw_deg", yaw_deg, -FARTHEST, FARTHEST))
     if not isinstance(prefix, str):
         raise OptionError("prefix", prefix, "text")
     file = CsvFile.read(path, "capsule", "capsule")
     header = [name.strip() for name in file.header]
-    for name in _COLUMNS:
+    for name in _CSV_COLUMNS:
         if header.count(name) != 1:
             state = "missing" if name not in header else "there twice"
-            raise file.fault(1, f"column {name!r} is {state}; expected {','.join(_COLUMNS)}")
+            raise file.fault(1, f"column {name!r} is {state}; expected {','.join(_CSV_COLUMNS)}")
     kind_column = header.index("kind")
     counts: Counter[str] = Counter()
     capsules, fruits = list[Capsule](), list[Fruit]()
-    for line, row, numbers in file.number_rows([header.index(name) for name in _NUMBERS]):
+    for line, row, numbers in file.number_rows([header.index(name) for name in _CAPSULE_NUMBERS]):
         kind = " ".join(row[kind_column].split())
-        _check(file, line, kind, numbers)
+        _check_row(file, line, kind, numbers)
         counts[kind] += 1
         name = f"{prefix}{kind} {counts[kind]}"
-        start, end = (_placed(numbers[first : first + 3], turn, place) for first in (0, 3))
+        start, end = (_transform_point(numbers[first : first + 3], turn, place) for first in (0, 3))
         if kind == FRUIT:
             fruits.append(Fruit(name=name, center=start, radius=numbers[6]))
         else:
@@ -93,11 +93,11 @@ def import_tree(
     return tuple(capsules), tuple(fruits)
 
 
-def _check(file: CsvFile, line: int, kind: str, numbers: list[float]) -> None:
+def _check_row(file: CsvFile, line: int, kind: str, numbers: list[float]) -> None:
     """Refuse an invalid row."""
     if not kind:
         raise file.fault(line, "kind is empty, expected a word such as trunk or branch")
-    for name, value in zip(_NUMBERS, numbers, strict=True):
+    for name, value in zip(_CAPSULE_NUMBERS, numbers, strict=True):
         if abs(value) > FARTHEST:
             raise file.fault(line, f"{name} is {value:g}, expected metres, at most {FARTHEST:g}")
     if not numbers[6] > 0.0:
@@ -106,7 +106,7 @@ def _check(file: CsvFile, line: int, kind: str, numbers: list[float]) -> None:
         raise file.fault(line, f"both ends are {'not ' if kind == FRUIT else ''}in the same place")
 
 
-def _placed(point: list[float], turn: float, place: tuple[float, ...]) -> Vector:
+def _transform_point(point: list[float], turn: float, place: tuple[float, ...]) -> Vector:
     cos, sin = math.cos(turn), math.sin(turn)
     x, y, z = point
     return cos * x - sin * y + place[0], sin * x + cos * y + place[1], z + place[2]

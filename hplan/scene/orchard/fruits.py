@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hplan.base.arguments import between, instance, list_of, whole
+from hplan.base.arguments import check_between, check_integer, instance, list_of
 from hplan.base.arrays import FloatArray
 from hplan.errors import OptionError
 from hplan.scene.model import Fruit
@@ -24,7 +24,7 @@ from hplan.scene.orchard.wood import DECIMALS
 _GAP = 1e-4
 
 #: Number of consecutive failed placements after which the zone counts as full.
-_TRIES = 3000
+_FAILED_PLACEMENTS = 3000
 
 _DOWN = np.array([0.0, 0.0, -1.0])
 
@@ -103,12 +103,12 @@ def hang_fruits(wood: Sequence[Capsule], options: OrchardOptions, random: np.ran
     canopy = Canopy(wood, radius, options.fruit_zone)
     ends = np.cumsum([0.0, *(math.dist(capsule.start, capsule.end) for capsule in bearing)])
     misses = 0
-    while bearing and len(canopy.centers) < count and misses < _TRIES:
+    while bearing and len(canopy.centers) < count and misses < _FAILED_PLACEMENTS:
         place, gap, lean = random.random(3)
         piece = int(np.clip(np.searchsorted(ends, place * ends[-1], side="right") - 1, 0, len(bearing) - 1))
         start, end = bearing[piece].core
         fraction = (place * ends[-1] - ends[piece]) / (ends[piece + 1] - ends[piece])
-        under = _turned(_beneath(end - start), end - start, (lean - 0.5) * math.pi / 2.0)
+        under = _rotate_about(_downward_normal(end - start), end - start, (lean - 0.5) * math.pi / 2.0)
         touching = start + fraction * (end - start) + (bearing[piece].radius + radius + _GAP) * under
         center = np.round(touching + gap * options.stem * _DOWN, DECIMALS)
         if canopy.depth(center) <= 0.0:
@@ -149,9 +149,9 @@ def fruit_at_tips(
     Raises:
         OptionError: A value is out of range, or there is no room for this number of fruits.
     """
-    count = whole("count", count, 0, 10_000)
-    radius = between("radius", radius, 1e-3, 1.0)
-    seed = whole("seed", seed, 0)
+    count = check_integer("count", count, 0, 10_000)
+    radius = check_between("radius", radius, 1e-3, 1.0)
+    seed = check_integer("seed", seed, 0)
     capsules = list_of("capsules", capsules, Capsule, "capsules")
     canopy = Canopy(capsules, radius, FruitZone() if zone is None else instance("zone", zone, FruitZone))
     tips = _tips(canopy)
@@ -174,7 +174,7 @@ def fruit_at_tips(
     return canopy.fruits()
 
 
-def hung(fruits: Sequence[Fruit], wood: Sequence[Obstacle], within: float) -> tuple[Fruit, ...]:
+def attach_fruits(fruits: Sequence[Fruit], wood: Sequence[Obstacle], within: float) -> tuple[Fruit, ...]:
     """Attach fruits to all bearing wood within a distance [m]."""
     bearing = [piece for piece in wood if isinstance(piece, Capsule) and _bears(piece)]
     canopy = Canopy(bearing, 0.0, FruitZone())
@@ -235,15 +235,15 @@ def _places(capsule: Capsule, spot: int, radius: float) -> Iterator[FloatArray]:
     if back > _length(capsule):
         return
     away = capsule.radius + radius + _GAP
-    beneath = _beneath(along)
+    beneath = _downward_normal(along)
     # At a tip any direction is allowed that does not point back along the branch; behind it only perpendicular ones.
     for slope in np.radians([90.0, 60.0, 30.0, 0.0] if spot == 0 else [0.0]):
         for turn in np.radians([0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0]):
-            across = _turned(beneath, along, turn)
+            across = _rotate_about(beneath, along, turn)
             yield np.round(end - back * along + away * (math.sin(slope) * along + math.cos(slope) * across), DECIMALS)
 
 
-def _beneath(along: FloatArray) -> FloatArray:
+def _downward_normal(along: FloatArray) -> FloatArray:
     """Most downward unit vector perpendicular to a direction.
 
     +x for a vertical direction.
@@ -254,7 +254,7 @@ def _beneath(along: FloatArray) -> FloatArray:
     return across / norm if norm > 1e-6 else np.array([1.0, 0.0, 0.0])
 
 
-def _turned(across: FloatArray, along: FloatArray, angle: float) -> FloatArray:
+def _rotate_about(across: FloatArray, along: FloatArray, angle: float) -> FloatArray:
     """Rotate a perpendicular unit vector about a direction."""
     along = along / np.linalg.norm(along)
     turned: FloatArray = math.cos(angle) * across + math.sin(angle) * np.cross(along, across)

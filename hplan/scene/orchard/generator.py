@@ -14,9 +14,9 @@ from hplan.errors import OptionError
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule
 from hplan.scene.orchard.capsule_file import import_tree
-from hplan.scene.orchard.fruits import fruit_at_tips, hang_fruits, hung
+from hplan.scene.orchard.fruits import attach_fruits, fruit_at_tips, hang_fruits
 from hplan.scene.orchard.options import TUCKED_DEG, FruitZone, MeasuredOptions, OrchardOptions
-from hplan.scene.orchard.wood import DECIMALS, Limb, capsule, grow_tree, rounded
+from hplan.scene.orchard.wood import DECIMALS, Limb, capsule, grow_tree, round_point
 
 #: The ground, 1 mm below the pedestal to avoid contact; and a vehicle body behind the pedestal, below the tucked arm.
 _GROUND = Box(name="ground", center=(0.0, 0.0, -0.051), size=(6.0, 6.0, 0.1))
@@ -42,11 +42,11 @@ def generate(options: OrchardOptions | None = None, *, start_deg: Sequence[float
     wood: list[Capsule] = []
     for number, y in enumerate(_places_in_row(options.trees, options.spacing), start=1):
         limbs = grow_tree(options, np.array([options.distance, y, 0.0]), np.random.default_rng([options.seed, number]))
-        wood += _named(limbs, f"tree {number} ")
+        wood += _limbs_to_obstacles(limbs, f"tree {number} ")
     wood += _trellis(options)
     fruits = hang_fruits(wood, options, np.random.default_rng([options.seed, 0]))
     boxes = [box for box, wanted in ((_GROUND, options.ground), (_VEHICLE, options.vehicle)) if wanted]
-    return _scene(options, (*wood, *boxes), fruits, start_deg)
+    return _assemble_scene(options, (*wood, *boxes), fruits, start_deg)
 
 
 def measured_orchard(
@@ -79,20 +79,20 @@ def measured_orchard(
         prefix = f"tree {number} " if len(paths) > 1 else ""
         position = options.distance, y, options.height
         tree, own = import_tree(path, position=position, yaw_deg=options.yaw_deg, prefix=prefix)
-        wood += [capsule(piece.name, rounded(piece.start), rounded(piece.end), piece.radius) for piece in tree]
-        hung += [fruit.copy_unchecked({"center": rounded(fruit.center)}) for fruit in own]
+        wood += [capsule(piece.name, round_point(piece.start), round_point(piece.end), piece.radius) for piece in tree]
+        hung += [fruit.copy_unchecked({"center": round_point(fruit.center)}) for fruit in own]
     # Number of fruits placed on measured trees without fruit, and their radius [m].
     put, put_radius = 20, 0.04
     if hung:
-        fruits = _nearest(hung, options)
+        fruits = _select_nearest(hung, options)
     else:
         count = put if options.fruits is None else options.fruits
         radius = put_radius if options.fruit_radius is None else options.fruit_radius
         fruits = fruit_at_tips(wood, count, radius, options.seed, zone=options.fruit_zone or FruitZone())
-    return _scene(options, wood, fruits, start_deg)
+    return _assemble_scene(options, wood, fruits, start_deg)
 
 
-def _nearest(fruits: Sequence[Fruit], options: MeasuredOptions) -> tuple[Fruit, ...]:
+def _select_nearest(fruits: Sequence[Fruit], options: MeasuredOptions) -> tuple[Fruit, ...]:
     """Select fruits of measured trees, nearest to the base's axis first."""
     if options.fruit_radius is not None:
         raise OptionError("fruit_radius", options.fruit_radius, "no value: the measured trees have their own fruits")
@@ -107,14 +107,14 @@ def _places_in_row(count: int, spacing: float) -> list[float]:
     return [(number - 0.5 * (count - 1)) * spacing for number in range(count)]
 
 
-def _named(limbs: Sequence[Limb], prefix: str) -> list[Capsule]:
+def _limbs_to_obstacles(limbs: Sequence[Limb], prefix: str) -> list[Capsule]:
     """Convert limbs to obstacles, numbered by kind."""
     counts: Counter[str] = Counter()
     capsules = []
     for limb in limbs:
         counts[limb.kind] += 1
         name, radius = f"{prefix}{limb.kind} {counts[limb.kind]}", round(limb.radius, DECIMALS)
-        capsules.append(capsule(name, rounded(limb.start), rounded(limb.end), radius))
+        capsules.append(capsule(name, round_point(limb.start), round_point(limb.end), radius))
     return capsules
 
 
@@ -122,7 +122,7 @@ def _trellis(options: OrchardOptions) -> list[Capsule]:
     """Return wires along the row, and posts at its ends."""
     x, y = options.distance, 0.5 * options.trees * options.spacing
     wires = [
-        capsule(f"wire {number}", rounded((x, -y, height)), rounded((x, y, height)), options.wire_radius)
+        capsule(f"wire {number}", round_point((x, -y, height)), round_point((x, y, height)), options.wire_radius)
         for number, height in enumerate(options.wire_heights, start=1)
     ]
     if not options.posts:
@@ -132,13 +132,13 @@ def _trellis(options: OrchardOptions) -> list[Capsule]:
     top = max(0.8 * options.tree_height, *options.wire_heights, 0.0) + post_excess
     feet = [(x, side * y, post_radius) for side in (-1.0, 1.0)]
     posts = [
-        capsule(f"post {number}", rounded(foot), rounded((*foot[:2], top - post_radius)), post_radius)
+        capsule(f"post {number}", round_point(foot), round_point((*foot[:2], top - post_radius)), post_radius)
         for number, foot in enumerate(feet, start=1)
     ]
     return [*wires, *posts]
 
 
-def _scene(
+def _assemble_scene(
     options: OrchardOptions | MeasuredOptions,
     obstacles: Sequence[Capsule | Box],
     fruits: tuple[Fruit, ...],
@@ -155,7 +155,7 @@ def _scene(
     if options.fruit_yields:
         fruits = tuple(fruit.copy_unchecked({"yields": options.fruit_yields}) for fruit in fruits)
     if options.hangs_within is not None:
-        fruits = hung(fruits, obstacles, options.hangs_within)
+        fruits = attach_fruits(fruits, obstacles, options.hangs_within)
     names = [fruit.name for fruit in fruits]
     if not names:
         raise OptionError("fruits", 0, "at least one fruit, as the goal")

@@ -23,7 +23,7 @@ from hplan.scene.orchard.options import OrchardOptions
 DECIMALS = 4
 
 
-def rounded(point: Iterable[float]) -> Vector:
+def round_point(point: Iterable[float]) -> Vector:
     """Round a point to the 0.1 mm grid [m]."""
     # Adding 0.0 turns -0.0, which would appear in files, into 0.0.
     x, y, z = (round(float(value), DECIMALS) + 0.0 for value in point)
@@ -35,7 +35,7 @@ def capsule(name: str, start: Vector, end: Vector, radius: float) -> Capsule:
     return Capsule.model_validate({"name": name, "from": start, "to": end, "radius": radius})
 
 
-Kind: TypeAlias = Literal["trunk", "arm", "branch", "shoot"]
+LimbKind: TypeAlias = Literal["trunk", "arm", "branch", "shoot"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class Limb:
         radius: Radius [m].
     """
 
-    kind: Kind
+    kind: LimbKind
     start: FloatArray
     end: FloatArray
     radius: float
@@ -83,7 +83,7 @@ def _trunk(options: OrchardOptions, root: FloatArray, random: np.random.Generato
     nodes[:, 2] += np.linspace(0.0, options.tree_height, count + 1)
     nodes[1:, :2] += np.cumsum(random.uniform(-0.015, 0.015, (count, 2)), axis=0)
     fraction = (np.arange(count) + 0.5) / count
-    return _pieces("trunk", nodes, options.trunk_radius * (1.0 - 0.75 * fraction))
+    return _wood_pieces("trunk", nodes, options.trunk_radius * (1.0 - 0.75 * fraction))
 
 
 def _spindle_branches(options: OrchardOptions, trunk: Sequence[Limb], random: np.random.Generator) -> list[list[Limb]]:
@@ -104,7 +104,7 @@ def _spindle_branches(options: OrchardOptions, trunk: Sequence[Limb], random: np
         radius = min(0.6 * thickness, 0.004 + 0.013 * length)
         bends = rise - np.radians([0.0, 12.0, 30.0])
         turns = azimuth + np.cumsum(random.uniform(-0.15, 0.15, 3))
-        branches.append(_bent("branch", start, length, bends, turns, radius))
+        branches.append(_grow_bent("branch", start, length, bends, turns, radius))
     return branches
 
 
@@ -122,7 +122,7 @@ def _trellis_arms(options: OrchardOptions, trunk: Sequence[Limb], random: np.ran
             length = 0.5 * options.spacing * random.uniform(0.85, 0.98)
             bends = np.radians(random.uniform(-4.0, 6.0, 3))
             turns = side * 0.5 * math.pi + random.uniform(-0.08, 0.08, 3)
-            arms += _bent("arm", start, length, bends, turns, 0.75 * thickness)
+            arms += _grow_bent("arm", start, length, bends, turns, 0.75 * thickness)
     return arms
 
 
@@ -141,7 +141,7 @@ def _trellis_branches(options: OrchardOptions, arms: Sequence[Limb], random: np.
         length = options.branch_length * random.uniform(0.4, 1.0)
         bends = rise - np.radians([0.0, 10.0, 25.0])
         radius = min(0.6 * arm.radius, 0.003 + 0.01 * length)
-        branches.append(_bent("branch", start, length, bends, azimuth + np.zeros(3), radius))
+        branches.append(_grow_bent("branch", start, length, bends, azimuth + np.zeros(3), radius))
     return branches
 
 
@@ -158,12 +158,14 @@ def _shoots(options: OrchardOptions, branch: Sequence[Limb], random: np.random.G
         azimuth = math.atan2(along[1], along[0]) + turn
         rise = math.radians(random.uniform(-15.0, 45.0))
         reach = length * random.uniform(0.2, 0.45)
-        shoots += _pieces("shoot", np.stack([start, start + reach * _direction(azimuth, rise)]), [0.8 * piece.radius])
+        shoots += _wood_pieces(
+            "shoot", np.stack([start, start + reach * _direction(azimuth, rise)]), [0.8 * piece.radius]
+        )
     return shoots
 
 
-def _bent(
-    kind: Kind, start: FloatArray, length: float, rises: FloatArray, azimuths: FloatArray, radius: float
+def _grow_bent(
+    kind: LimbKind, start: FloatArray, length: float, rises: FloatArray, azimuths: FloatArray, radius: float
 ) -> list[Limb]:
     """Return successive segments of equal length, each with its rise and azimuth.
 
@@ -172,10 +174,10 @@ def _bent(
     count = len(rises)
     steps = [_direction(azimuth, rise) for azimuth, rise in zip(azimuths, rises, strict=True)]
     nodes = start + length / count * np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
-    return _pieces(kind, nodes, radius * np.linspace(1.0, 0.35, count))
+    return _wood_pieces(kind, nodes, radius * np.linspace(1.0, 0.35, count))
 
 
-def _pieces(kind: Kind, nodes: FloatArray, radii: Sequence[float] | FloatArray) -> list[Limb]:
+def _wood_pieces(kind: LimbKind, nodes: FloatArray, radii: Sequence[float] | FloatArray) -> list[Limb]:
     # Minimum radius of wood [m].
     thinnest = 0.002
     return [

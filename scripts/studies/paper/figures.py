@@ -17,10 +17,10 @@ from studies.paper.measure import DEMO_CENTRE, DEMO_DIAMETER, PAPER_DENSE, PAPER
 from studies.paper.plain import path_found
 
 from hplan.apps.view import figures as look
-from hplan.apps.view.figures import new_figure, styled
+from hplan.apps.view.figures import apply_style, new_figure
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.planar.grid.grid import Grid
-from hplan.planar.pages.cspace_surface import draw_cspace_obstacle, hidden, joint_box, panes
+from hplan.planar.pages.cspace_surface import draw_cspace_obstacle, hidden_by_surface, joint_box, panes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -64,7 +64,7 @@ def figures(numbers: Reproduction, evidence: Evidence) -> dict[str, Callable[[],
     return {**named, "overview.png": lambda: overview(evidence)}
 
 
-@styled
+@apply_style
 def _numbered(number: int, draw: Callable[[], Figure]) -> Figure:
     """Draw a figure and set the paper's number before its title."""
     figure = draw()
@@ -246,7 +246,7 @@ def _line_3d(axes: Any, points: FloatArray, covered: BoolArray, color: Any, widt
 def _joint_path(axes: Any, evidence: Evidence, path: IntArray, towards: Any, color: str, width: float,
                 zorder: float = 5.0) -> None:  # fmt: skip
     """A path past the C-space obstacle."""
-    covered = hidden(_field(evidence), path.astype(np.float64), towards)
+    covered = hidden_by_surface(_field(evidence), path.astype(np.float64), towards)
     _line_3d(axes, _degrees(evidence, path), covered, color, width, zorder + width)
 
 
@@ -330,10 +330,10 @@ def workspace_path(evidence: Evidence) -> Figure:
     # Surfaces are drawn in degrees of radians: a grid whose "radians" give these units.
     towards = draw_cspace_obstacle(axes, Grid(np.radians(grid.lower), np.radians(grid.step), grid.shape), field)
     for number, layer in layers.items():
-        covered = hidden(field, layer.astype(np.float64), towards, gap=1.0)
+        covered = hidden_by_surface(field, layer.astype(np.float64), towards, gap=1.0)
         color = colormaps["viridis"](number / max(layers))
         _line_3d(axes, grid.coordinates(layer), covered, color, 1.1, 4.0 + 0.01 * number)
-    _line_3d(axes, points, hidden(field, path.astype(np.float64), towards, gap=1.0), look.INK, 2.8, 7.0)
+    _line_3d(axes, points, hidden_by_surface(field, path.astype(np.float64), towards, gap=1.0), look.INK, 2.8, 7.0)
     _ends(axes, points)
     high = grid.coordinates(np.array(grid.shape) - 1)
     axes.set(xlim=(grid.lower[0], high[0]), ylim=(grid.lower[1], high[1]), zlim=(grid.lower[2], high[2]))
@@ -349,7 +349,9 @@ def workspace_layers(evidence: Evidence) -> Figure:
     grid, path, layers = evidence.demo.grid, path_found(evidence.demo_result), evidence.demo_result.slice_paths
     figure = new_figure(10.4, 7.6, "Six layers of the workspace and their paths")
     for axes, number in zip(figure.subplots(2, 3).flat, _nearest(grid, LAYERS), strict=True):
-        _slice(axes, grid, [(evidence.demo.occupied[:, :, number], look.OBSTACLE_TINT)], 1.0, ("x [unit]", "y [unit]"))
+        _slice(
+            axes, grid, [(evidence.demo.occupied_mask[:, :, number], look.OBSTACLE_TINT)], 1.0, ("x [unit]", "y [unit]")
+        )
         layer, taken = grid.coordinates(layers[number]), grid.coordinates(path[path[:, 2] == number])
         axes.plot(layer[:, 0], layer[:, 1], color=look.PATH, lw=2.2, zorder=5)
         axes.plot(taken[:, 0], taken[:, 1], "o", color=look.INK, ms=3.6, zorder=8)
@@ -403,7 +405,7 @@ def slices(evidence: Evidence) -> Figure:
     inner, ends = _link_occupied(evidence, 2), _degrees(evidence, _terminals(evidence))
     figure = new_figure(9.6, 6.9, r"Slices of the C-space at constant $\theta_3$")
     for axes, number, degrees in _six(figure, evidence):
-        occupied, has_path = evidence.occupancy.occupied[:, :, number], number in evidence.plain.paths
+        occupied, has_path = evidence.occupancy.occupied_mask[:, :, number], number in evidence.plain.paths
         masks = [(occupied, look.OBSTACLE_TINT), (occupied & inner, look.OBSTACLE)]
         _slice(axes, evidence.occupancy.grid, masks)
         _ends(axes, ends[:, :2])
@@ -418,7 +420,7 @@ def slice_paths(evidence: Evidence) -> Figure:
     grid, paths, heads = evidence.occupancy.grid, evidence.plain.paths, evidence.plain.heads
     figure = new_figure(9.6, 6.9, "Slice paths after connectivity restoration")
     for axes, number, degrees in _six(figure, evidence):
-        _slice(axes, grid, [(evidence.occupancy.occupied[:, :, number], look.OBSTACLE_TINT)])
+        _slice(axes, grid, [(evidence.occupancy.occupied_mask[:, :, number], look.OBSTACLE_TINT)])
         whole = _degrees(evidence, paths.get(number, paths[min(paths)]))
         if number in paths:
             axes.plot(whole[:, 0], whole[:, 1], color=look.PATH, lw=2.4, zorder=5)
@@ -548,7 +550,7 @@ def comparison(numbers: Reproduction, evidence: Evidence) -> Figure:
     return figure
 
 
-@styled
+@apply_style
 def overview(evidence: Evidence) -> Figure:
     """The method in one picture: the path in the C-space, and the corresponding motion."""
     figure, path = new_figure(11.0, 4.8, ""), path_found(evidence.plain.second)

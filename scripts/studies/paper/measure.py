@@ -120,7 +120,7 @@ def measure(repetitions: int = 5, report: Callable[[str], None] = lambda _: None
     """
     robot, scene = load_robot(), load_scene()
     grid = joint_grid(robot.arm, math.radians(1.0))
-    start, goal = (grid.nearest(end.configuration[robot.arm_slice]) for end in (scene.start, scene.goal))
+    start, goal = (grid.nearest_node(end.configuration[robot.arm_slice]) for end in (scene.start, scene.goal))
     spaces: dict[LinkModel, Occupancy] = {}
     models = []
     for model in LINK_MODELS:
@@ -170,10 +170,10 @@ def measure(repetitions: int = 5, report: Callable[[str], None] = lambda _: None
 
 def demonstration() -> tuple[Occupancy, IntArray, IntArray]:
     """The paper's workspace demonstration: grid, start and goal node."""
-    grid = Grid.over(DEMO_LOWER, DEMO_UPPER, 1.0)
+    grid = Grid.from_limits(DEMO_LOWER, DEMO_UPPER, 1.0)
     mesh = np.stack(np.meshgrid(*(grid.axis(k) for k in range(3)), indexing="ij"), axis=-1)
     inside = np.linalg.norm(mesh - np.array(DEMO_CENTRE), axis=-1) <= 0.5 * DEMO_DIAMETER
-    return Occupancy.from_mask(grid, inside), grid.nearest(DEMO_START), grid.nearest(DEMO_GOAL)
+    return Occupancy.from_mask(grid, inside), grid.nearest_node(DEMO_START), grid.nearest_node(DEMO_GOAL)
 
 
 def _timed(work: Callable[[], _T], repetitions: int) -> tuple[_T, float]:

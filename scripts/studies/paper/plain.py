@@ -64,7 +64,7 @@ def plain_two_level(
     paths: dict[int, IntArray] = {}
     expansions: dict[int, int] = {}
     for number in range(int(start[2]), last + 1):
-        layer = Occupancy.from_mask(flat, occupancy.occupied[:, :, number])
+        layer = Occupancy.from_mask(flat, occupancy.occupied_mask[:, :, number])
         result = dense_search(layer, start[:2], goal[:2])
         expansions[number] = result.expansions.total
         if result.path is not None:
@@ -93,7 +93,7 @@ def carried_back(
     first = min(paths)
     kept = paths[first][:, :2] if restoration == "path" else paths[first][:1, :2]
     for number in range(first - 1, start_slice - 1, -1):
-        blocked = np.flatnonzero(occupancy.occupied[kept[:, 0], kept[:, 1], number])
+        blocked = np.flatnonzero(occupancy.occupied_mask[kept[:, 0], kept[:, 1], number])
         kept = kept[: blocked[0]] if len(blocked) else kept
         heads[number] = at_height(kept, number)
     return heads

@@ -44,7 +44,7 @@ def check_deflections(seed: int, number: int, trees: Sequence[Path]) -> Tally:
     arm = _capsule_arm(robot)
     near = [fruit.name for fruit in scene.fruits if np.hypot(*fruit.center[:2]) < 2.0]
     for name in rng.permutation(near)[:FRUITS]:
-        task = scene.with_(goal=Goal(fruit=str(name)))
+        task = scene.with_values(goal=Goal(fruit=str(name)))
         options = PlanOptions(effort="quick", tracking_error=float(rng.choice([0.0, 1e-3])))
         try:
             result = plan(robot, task, options)
@@ -71,7 +71,7 @@ def _scene(robot: Robot, rng: np.random.Generator, trees: Sequence[Path]) -> tup
     )
     scene, _ = without_inside(robot, measured_orchard([file], options, start_deg=(0.0, 90.0, 90.0, 90.0)))
     links = ("hand",) if rng.random() < 0.3 else None
-    return scene.with_(yield_links=links), file.stem
+    return scene.with_values(yield_links=links), file.stem
 
 
 def _capsule_arm(robot: Robot) -> Arm:
@@ -138,12 +138,12 @@ def _less_compliant(scene: Scene, contact: Contact) -> Scene:
     """The scene with a compliance slightly smaller than the deflection in a contact."""
     items = {
         key: tuple(
-            item.with_(yields=contact.depth_m - SHORT_M) if item.name == contact.second else item
+            item.with_values(yields=contact.depth_m - SHORT_M) if item.name == contact.second else item
             for item in getattr(scene, key)
         )
         for key in ("obstacles", "fruits")
     }
-    return scene.with_(**items)
+    return scene.with_values(**items)
 
 
 def _row(config: StudyConfig, number: int) -> Row:

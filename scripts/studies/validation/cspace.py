@@ -86,9 +86,9 @@ def random_scene(robot: Robot, kind: str, number: int, *, seed: int = 0) -> tupl
             Fruit(name=f"fruit {k}", center=tuple(at), radius=rng.uniform(0.02, 0.06))
             for k, at in enumerate(places.tolist())
         ]
-        return scene.with_(fruits=tuple(fruits)), sector
+        return scene.with_values(fruits=tuple(fruits)), sector
     items = [draw_obstacle(rng, f"{kind} {k}", kind, place) for k in range(int(rng.integers(1, MOST + 1)))]
-    return scene.with_(obstacles=tuple(map(obstacle_of, items))), sector
+    return scene.with_values(obstacles=tuple(map(obstacle_of, items))), sector
 
 
 class _KindCounts:
@@ -116,7 +116,7 @@ class _KindCounts:
         counts["missed"] += self._count(number, "intervals", checker, every[colliding & ~occupied], free=True)
         counts["spare"] += int(spare.sum())
         counts["lost"] += int((occupied & spare).sum())
-        field = ClearanceField.of(robot, scene.solids, clearance=scene.clearance)
+        field = ClearanceField.build(robot, scene.solids, clearance=scene.clearance)
         clear = np.array([field.clearance(configuration) for configuration in every])
         counts["differing"] += self._count(number, "distances", checker, every[colliding & (clear > 0.0)], free=True)
         counts["differing"] += self._count(number, "contact", checker, every[~colliding & ~(clear > 0.0)], free=False)
@@ -162,7 +162,7 @@ def _at_random_yaws(
     q, occupied = [], []
     for grid in _random_grids(robot, configurations, rng):
         yaw = float(rng.uniform(*sector))
-        occupied.append(occupancy(robot.arm, sections_at(robot, bodies, yaw), grid).occupied.ravel())
+        occupied.append(occupancy(robot.arm, sections_at(robot, bodies, yaw), grid).occupied_mask.ravel())
         planar = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
         q.append(np.column_stack([np.full(len(planar), yaw), planar]) if robot.has_yaw else planar)
     return np.concatenate(q), np.concatenate(occupied)

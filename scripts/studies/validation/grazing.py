@@ -85,7 +85,7 @@ def _certify_message(drawn: DrawnArm, world: World, rng: np.random.Generator, ta
 
 
 def _certify(robot: Robot, world: World, motion: Trajectory, *items: dict[str, Any]) -> Any:
-    scene = world.scene().with_(obstacles=tuple(map(obstacle_of, items)))
+    scene = world.scene().with_values(obstacles=tuple(map(obstacle_of, items)))
     return certify(robot, scene, motion, velocity_jumps=motion.interpolation == "linear", check_ends=False)
 
 

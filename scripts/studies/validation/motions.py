@@ -173,7 +173,7 @@ class Episode:
             self.check_retimed("stop", begins_s, now, functools.partial(self.planner.stop_at, t, now=now))
         if not changed:
             factor = float(self.rng.uniform(0.3, 1.0))
-            self.check_retimed("scaled", begins_s, now, lambda: running.scaled(factor))
+            self.check_retimed("scaled", begins_s, now, lambda: running.scale_speed(factor))
 
     def check_retimed(self, kind: str, begins_s: float, now: float, retime: Callable[[], CertifiedMotion]) -> None:
         """Check a motion along the path of the running one."""
@@ -302,7 +302,7 @@ class Episode:
             case "fruit":
                 fruits = tuple(shifted(fruit, direction(rng) * rng.uniform(0.0, 0.1)) for fruit in world.fruits)
                 self.world = replace(world, fruits=fruits)
-                planner.scene = planner.scene.with_(fruits=self.world.scene().fruits)
+                planner.scene = planner.scene.with_values(fruits=self.world.scene().fruits)
 
 
 def bad_frame(

@@ -100,7 +100,7 @@ class World:
         fruits = [{key: value for key, value in item.items() if key != "kind"} for item in self.fruits]
         task = {"name": "drawn", "start": {"joints_rad": self.start.tolist()}, "goal": goal, "fruits": fruits}
         scene = Scene.model_validate_json(json.dumps({**task, "base_track": self.base, "clearance": self.clearance}))
-        return scene.with_(obstacles=tuple(map(obstacle_of, self.items)))
+        return scene.with_values(obstacles=tuple(map(obstacle_of, self.items)))
 
     def from_base(self, points: FloatArray, time_s: float) -> FloatArray:
         """(n, 3) points in the frame of the base at a time."""
@@ -129,11 +129,11 @@ def obstacle_of(item: Item) -> Any:
     placed |= {key: model(**placed[key]) for key, model in (("track", Track), ("sway", Sway)) if key in placed}
     placed |= {key: tuple(placed[key]) for key in ("position", "rpy_deg") if key in placed}
     if "stock" in item:  # cut into convex pieces once
-        return stock(item["stock"]).with_(name=item["name"], **placed)
+        return stock(item["stock"]).with_values(name=item["name"], **placed)
     if item["kind"] == "mesh":
-        return Mesh.of(item["name"], item["vertices"], item["faces"], **placed)
+        return Mesh.from_arrays(item["name"], item["vertices"], item["faces"], **placed)
     if item["kind"] == "points":
-        return PointCloud.of(item["name"], item["points"], placed.pop("radius"), **placed)
+        return PointCloud.from_points(item["name"], item["points"], placed.pop("radius"), **placed)
     return _MODEL.validate_json(json.dumps(item))
 
 
@@ -178,7 +178,7 @@ def stock(number: int) -> Mesh:
     """A mesh that is not convex: a bucket, a ring or pipe, or a notched plate or block."""
     rng = np.random.default_rng([_STOCK, number])
     if number % 3 == 2:
-        return Mesh.of("shape", *_notched(rng))
+        return Mesh.from_arrays("shape", *_notched(rng))
     if number % 3 == 0:
         foot, height, wall = rng.uniform(0.08, 0.2), rng.uniform(0.1, 0.35), rng.uniform(0.005, 0.02)
         rim = foot * rng.uniform(1.0, 1.4)
@@ -190,7 +190,7 @@ def stock(number: int) -> Mesh:
         profile = list(zip(radius + across * np.cos(angles), along * np.sin(angles), strict=True))
         profile.append(profile[0])
     shape = trimesh.creation.revolve(np.array(profile), sections=int(rng.integers(4, 10)))
-    return Mesh.of("shape", np.array(shape.vertices), np.array(shape.faces))
+    return Mesh.from_arrays("shape", np.array(shape.vertices), np.array(shape.faces))
 
 
 def _notched(rng: np.random.Generator) -> tuple[FloatArray, Any]:

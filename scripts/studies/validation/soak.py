@@ -154,7 +154,7 @@ class _Soak:
             number = int(np.random.default_rng().integers(number + 1))
         if number >= MOST_SAMPLES:
             return
-        known = scene.with_(obstacles=tuple(o for o in scene.obstacles if o.name != SEEN))
+        known = scene.with_values(obstacles=tuple(o for o in scene.obstacles if o.name != SEEN))
         allowed = windows(certificate, [fruit.model_dump() for fruit in scene.fruits])
         write_csv(motion, self.folder / f"{number}.csv", whole=True)
         sample = pickle.dumps((known, kind, cloud, allowed, start_time_s, from_s))
@@ -193,7 +193,7 @@ class _Soak:
             start_time_s = now + DEADLINE_S if planner.scene.moves else None
             found: PlanResult = call(begins_s=start_time_s)
             if start_time_s is None:
-                planner.began(time.monotonic())
+                planner.set_start_time(time.monotonic())
             self.store("plan", found.scene, found.trajectory, found.certificate)
             return
         measured = last.trajectory.positions(np.array([now - last.begins_s]))[0]
@@ -209,7 +209,7 @@ class _Soak:
         if self.planner.scene is scene and self.planner.last is last:
             self.store("stop", scene, stop.trajectory, stop.certificate, last.begins_s, now - last.begins_s)
         if rng.random() < 0.2:
-            slower = last.scaled(float(rng.uniform(0.3, 1.0)))
+            slower = last.scale_speed(float(rng.uniform(0.3, 1.0)))
             self.store("scaled", last.scene, slower.trajectory, slower.certificate)
 
     def change(self, rng: np.random.Generator) -> None:
@@ -247,7 +247,7 @@ class _Soak:
         with self.driving:
             self.base = base
             track = None if base is None else Track(**base)
-            self.planner.scene = self.planner.scene.with_(base_track=track)
+            self.planner.scene = self.planner.scene.with_values(base_track=track)
 
     def judge(self) -> None:
         """Check the stored motions."""

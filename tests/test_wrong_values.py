@@ -398,8 +398,6 @@ CASES: dict[str, Case] = {
     "largest_path_deviation": case(
         largest_path_deviation, "positions:matrix", positions=[[0.0] * 4], waypoints=[[0.0] * 4]
     ),
-        largest_path_deviation, "positions:matrix", positions=[[0.0] * 4], waypoints=[[0.0] * 4]
-    ),
     "limits_of": case(
         limits_of,
         bad={"acceleration": (None, "a", NAN), "jerk": ("a", NAN, -1.0), "torque": (None, "no")},

@@ -54,7 +54,7 @@ def plans(robot: Robot) -> dict[str, tuple[Scene, PlanResult, Told]]:
                 told.blended = blend(task, transit, before, after)
                 return told.blended
 
-            patch.setattr(planning, "blended", keep)
+            patch.setattr(planning, "blend", keep)
             scene = load_scene(name)
             found[name] = scene, plan(robot, scene), told
     return found

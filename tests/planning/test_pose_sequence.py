@@ -119,7 +119,7 @@ def test_where_a_path_cannot_be_certified_another_one_is_taken(arm: Robot, monke
             raise CertificationError("refused")
         return certified(task, leg)
 
-    monkeypatch.setattr(pose_sequence, "_certified", refusing_one)
+    monkeypatch.setattr(pose_sequence, "_certify_leg", refusing_one)
     pose = moved(arm.forward_kinematics(begin_of(arm)), 0.0, 0.3, 0.0)
     result = hplan.plan_poses(arm, scene_of(arm), [pose], straight=False, tilt_rad=TILT)
     assert result.certificate.verified

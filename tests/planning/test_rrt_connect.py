@@ -116,7 +116,7 @@ def test_second_pair_finds_a_better_side_where_the_first_ones_motion_lasts_long(
     arm = load_robot("ur5")
     scene = random_scene(arm, 1, 67)
     found = plan(arm, scene)
-    monkeypatch.setattr(hplan.planning.path_finder, "FAR", math.inf)
+    monkeypatch.setattr(hplan.planning.path_finder, "FAR_FROM_BOUND", math.inf)
     alone = plan(arm, scene)
     assert found.certificate.verified
     assert found.trajectory.duration < 0.8 * alone.trajectory.duration

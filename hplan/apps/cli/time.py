@@ -260,13 +260,13 @@ def _show_motion(
 
     from hplan.base.units import joint_length
     from hplan.robot.dynamics import joints_that_slide
-    from hplan.trajectory import AT_LIMIT, largest_deviation, limit_shares
+    from hplan.trajectory import AT_LIMIT, largest_path_deviation, limit_shares
 
     full, paced = limit_shares(trajectory, limits), limit_shares(trajectory, limits.scale(arguments.speed))
     length = float(np.linalg.norm(np.diff(waypoints, axis=0), axis=1).sum())
     slides = joints_that_slide(model)
     samples = "1 sample: no motion" if trajectory.samples == 1 else f"{trajectory.samples:,} samples"
-    deviation = joint_length(largest_deviation(trajectory.position, waypoints), slides, ".4f")
+    deviation = joint_length(largest_path_deviation(trajectory.position, waypoints), slides, ".4f")
     allowed = joint_length(math.radians(arguments.deviation), slides, "g")
     facts = [
         ("waypoints", f"{len(waypoints):,}, {joint_length(length, slides)} along the polyline"),

@@ -59,8 +59,8 @@ class MotionLimits(NamedTuple):
         upper: (dof,) upper joint limits.
         rates: (3, dof) maximum velocity [rad/s], acceleration [rad/s^2] and jerk [rad/s^3]; infinite for no limit.
         movable: (k,) indices of the joints that may move.
-        sway: (links, dof) loss of each link's clearance by tracking errors, per unit of each joint's speed [m s/rad];
-            empty if tracking errors do not depend on speed.
+        sway: (moving bodies, dof) loss of each body's clearance by tracking errors, per unit of each joint's speed
+            [m s/rad]; empty if tracking errors do not depend on speed.
     """
 
     lower: FloatArray

@@ -40,8 +40,8 @@ class TimeProblem(Record):
         dynamics: Inverse dynamics of the arm.
         rate_hz: Samples per second.
         ends: States at the start and at the end; None if both are at rest.
-        sway: (links, dof) loss of each link's clearance by tracking errors, per unit of each joint's speed [m s/rad];
-            None if tracking errors do not depend on speed.
+        sway: (moving bodies, dof) loss of each body's clearance by tracking errors, per unit of each joint's speed
+            [m s/rad]; None if tracking errors do not depend on speed.
         upright: Kinematic chain with the permitted tilt of the tool, for motions from rest to rest; None if the tool
             may tilt freely.
     """

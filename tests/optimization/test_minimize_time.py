@@ -214,7 +214,10 @@ def test_motion_that_keeps_the_program_keeps_the_limits(motion, limits, robot):
             )
 
 
-SWAY = np.array([[2e-3, 1e-3, 0.0, 0.0], [2e-3, 2e-3, 1e-3, 0.0], [3e-3, 2e-3, 2e-3, 1e-3]])
+#: Of pedestal, turret and links of the harvester, then of its five pairs of these.
+SWAY = np.zeros((10, 4))
+SWAY[1:5] = [1e-3, 0.0, 0.0, 0.0], [2e-3, 1e-3, 0.0, 0.0], [2e-3, 2e-3, 1e-3, 0.0], [3e-3, 2e-3, 2e-3, 1e-3]
+SWAY[5:] = 0.5e-3
 
 
 @pytest.mark.parametrize("sway", [np.zeros((0, 4)), SWAY], ids=["exact", "tracking errors"])
@@ -222,6 +225,7 @@ def test_clearances_minus_tracking_displacement_follow_step_and_time_scale(motio
     """Velocity-dependent tracking errors reduce clearance; a slower motion gains some."""
     control, knots = motion
     field, count, by = field_of(robot), (PIECES - 3) * 2, 1e-4
+    assert len(SWAY) == field.count
     rows = first_order(at_rest(control, knots), limits._replace(sway=sway), field.arrays, MARGIN, TRUST)
     matrix, both = dense(rows, count), len(rows.lower)
     lever = sway if len(sway) else 0.0 * SWAY

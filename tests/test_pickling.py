@@ -175,7 +175,7 @@ def test_plan_arrives_and_can_be_certified(robot: Robot, scene: Scene, locked: h
     assert_alike(locked, found)
     assert found.certificate == locked.certificate
     assert found.report == locked.report
-    assert found.picked == locked.picked_fruit
+    assert found.picked_fruit == locked.picked_fruit
     again = hplan.certify(found.motion.problem.robot, found.motion.problem.scene, found.trajectory)
     assert again == hplan.certify(robot, scene, locked.trajectory)
     checker = found.motion.problem.world.checker

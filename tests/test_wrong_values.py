@@ -45,6 +45,7 @@ from hplan.scene.orchard import (
     measured_orchard,
 )
 from hplan.scene.tracks import Sway, Track
+from hplan.study.batch import run_batch
 from hplan.study.definition import Study
 from hplan.study.run import run_study
 from hplan.tour.tour import TourOptions
@@ -369,6 +370,12 @@ CASES: dict[str, Case] = {
     "load_member": case(load_member, spec=HARVESTER),
     "Study": case(Study, bad={"arms": (None, "arm", 1.0, ()), "trees": (None, "tree", 1.0, ((),))}, **A_STUDY),
     "run_study": case(run_study, "rows:path", {"study": (3, "missing.yaml", ()), "executor": (3, "pool")}, study=None),
+    "run_batch": case(
+        run_batch,
+        "robot:other rows:path trajectories:path",
+        {"scenes": (None, 3, [], "table-1", [3], ["missing.yaml"], ["table-1"] * 2), "executor": (3, "pool")},
+        scenes=["table-1"],
+    ),
     "plan_row": case(hplan.plan_row, bad={"row": (3, "row"), "tour": (3, "tour"), "executor": (3, "pool")}),
     "cross_check": case(cross_check, "urdf_path:file samples:whole", urdf_path="a.urdf"),
     "Grid.from_limits": case(
@@ -385,7 +392,7 @@ CASES: dict[str, Case] = {
         occupied=np.zeros((3, 3), dtype=np.bool_),
     ),
     **{
-        "reachable nodes" if function is reachable_nodes else function.__name__: case(
+        function.__name__: case(
             function,
             bad={"start": (None, "00", (0,), (0.0, 0.0), (9, 9), (NAN, 0), [[0], [0, 1]], 0, NoArray())},
             occupancy=free(),
@@ -577,7 +584,7 @@ def test_every_public_function_is_among_the_cases() -> None:
         "hplan.robot.family.members",
     ]
     names = {name for module in modules for name in getattr(importlib.import_module(module), "__all__", ())}
-    results = {"Cell", "CellResult", "CellTour", "Certificate", "ConfigurationCheck",
+    results = {"BatchRow", "Cell", "CellResult", "CellTour", "Certificate", "ConfigurationCheck",
         "FruitReach", "HplanError", "PlanResult", "Robot", "TourResult", "LimitShares", "Machine",
         "CrossCheck", "Expansions", "SearchResult", "RowResult", "StageTimes", "StudyResult"}  # fmt: skip
     values = {"AT_LIMIT", "DEVIATION", "Fallback", "HARVESTER", "SHIPPED", "TUCKED_DEG"}

@@ -6,7 +6,8 @@ continuous there, because both motions contain that very sample.
 
 Times in arguments are on the controller's clock, and so are the tracks of the scene; internally all times count from
 the start of the running motion. The new motion is planned in the scene with times since the seam. The returned motion
-is certified in the scene with times since its own start (`Scene.since`), which it reports on the controller's clock.
+is certified in the scene with times since its own start (`Scene.starting_at`), which it reports on the controller's
+clock.
 """
 
 from __future__ import annotations
@@ -107,7 +108,8 @@ class RunningMotion:
         """
         if math.isnan(plan.begins_s):
             raise InputError(
-                "the start time of the running motion is unknown: give plan(begins_s=), or call began(at_s) afterwards"
+                "the start time of the running motion is unknown: give plan(begins_s=), or call set_start_time(at_s) "
+                "afterwards"
             )
         time, scene = plan.trajectory.time, scene.starting_at(plan.begins_s)
         self.plan, self._scene, self._options = plan, scene, options

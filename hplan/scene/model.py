@@ -457,7 +457,9 @@ class Scene(StrictModel):
         number("time_s", time_s, "a finite number of seconds")
         if time_s == 0.0 or not self.moves:
             return self
-        changed = self._change_each(lambda item: {} if item.track is None else {"track": item.track.since(time_s)})
+        changed = self._change_each(
+            lambda item: {} if item.track is None else {"track": item.track.starting_at(time_s)}
+        )
         base_track = None if self.base_track is None else self.base_track.starting_at(time_s)
         return self.copy_unchecked(changed | {"base_track": base_track})
 

@@ -289,7 +289,7 @@ class Mesh(FromData):
     def _hulls(self) -> tuple[Solid, ...]:
         place, own = (self.rotation, np.array(self.position)), {"name": self.name, "sigma": self.sigma}
         hulls = self._data.pieces(self.scale).hulls
-        return self._swept(tuple(hull.placed(*place, yields=self.yields, **own) for hull in hulls))
+        return self._swept(tuple(hull.transform(*place, yields=self.yields, **own) for hull in hulls))
 
 
 class PointCloud(FromData):

@@ -114,8 +114,10 @@ def run_batch(
         [('table-1', 'ok', True), ('trellis', 'ok', True)]
     """
     options = PlanOptions() if options is None else instance("options", options, PlanOptions)
-    if isinstance(scenes, str | Path) or not scenes:
+    if not isinstance(scenes, Sequence) or isinstance(scenes, str) or not scenes:
         raise OptionError("scenes", scenes, "a list with at least one scene file")
+    for scene in scenes:
+        file_path("scenes", scene)
     repeated = next((scene for scene, count in Counter(map(str, scenes)).items() if count > 1), None)
     if repeated is not None:
         raise OptionError("scenes", repeated, "scene files, each once")

@@ -339,7 +339,7 @@ class Joins:
             >>> joins = Joins(lambda stop: True)
             >>> joins.add(0, 1, 1.0)
             >>> joins.add(1, 2, 1.0)
-            >>> joins.way(0, 2), joins.between(0, 2)
+            >>> joins.way(0, 2), joins.duration_between(0, 2)
             ([0, 1, 2], 2.0)
         """
         i, j = self._place_of(a), self._place_of(b)

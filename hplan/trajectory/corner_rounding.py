@@ -194,7 +194,7 @@ def largest_path_deviation(positions: ArrayLike, waypoints: ArrayLike) -> float:
         InputError: `positions` or `waypoints` is empty, has another number of joints, or a value is not finite.
 
     Examples:
-        >>> largest_deviation([[0.5, 0.1]], [[0.0, 0.0], [1.0, 0.0]])
+        >>> largest_path_deviation([[0.5, 0.1]], [[0.0, 0.0], [1.0, 0.0]])
         0.1
     """
     points = as_waypoints(waypoints)

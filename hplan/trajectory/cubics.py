@@ -188,7 +188,7 @@ def points_of(position: FloatArray, velocity: FloatArray, acceleration: FloatArr
 
     Examples:
         >>> points = points_of(np.array([1.0]), np.array([2.0]), np.array([3.0]), 0.1)
-        >>> [round(float(values[0, 0]), 9) for values in rows_of(points, 0.1)]
+        >>> [round(float(values[0, 0]), 9) for values in sample_spline(points, 0.1)]
         [1.0, 2.0, 3.0]
     """
     middle = position - period**2 / 6.0 * acceleration

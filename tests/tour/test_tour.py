@@ -179,7 +179,7 @@ def test_order_is_best_and_certified(robot: Robot, scene: Scene, tour: TourResul
 def test_costs_are_on_a_raster(robot: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Motions last whole periods, so that sums tie in any order of addition."""
     seen: list[Costs] = []
-    monkeypatch.setattr("hplan.tour.tour.nearest", lambda costs: seen.append(costs) or nearest_tour(costs))
+    monkeypatch.setattr("hplan.tour.tour.nearest_tour", lambda costs: seen.append(costs) or nearest_tour(costs))
     plan_tour(robot, scene, OPTIONS, tour=TourOptions(order="nearest", drop_off=DROP, back=True))
     assert seen
     for costs in seen:

@@ -70,12 +70,16 @@ def test_two_arms_approach_by_at_most_the_bound(robot, moving):
     still = [joint for arm in cell.arms if moving not in (arm.name, "both") for joint in arm.joints]
     bezier = cell.configuration({}) + np.cumsum(rng.normal(size=(40, 4, robot.dof)) * 0.03, axis=1)
     bezier[:, :, still] = bezier[:, :1, still]
+    # A cylinder is the same wherever it turns about its own axis: its centre stands for it.
+    of_body = [body.core.mean(axis=0) if body.kind == "cylinder" else body.core[0] for body in bodies]
     mover_of, moved, _ = motion_of_movers(scene, bezier, np.zeros((1, robot.dof)))
     data, used = [robot.model.createData() for _ in range(2)], 0.0
     for piece in range(len(bezier)):
         for each, end in zip(data, (0.0, 1.0), strict=True):
             pin.forwardKinematics(robot.model, each, point_at(bezier[piece : piece + 1], end))
-        points = [[each.oMi[body.joint + 1].act(body.core[0]) for body in bodies] for each in data]
+        points = [
+            [each.oMi[body.joint + 1].act(point) for body, point in zip(bodies, of_body, strict=True)] for each in data
+        ]
         for mover, (i, j) in zip(mover_of[-len(self_pairs(robot).checked) :], self_pairs(robot).checked, strict=True):
             if cell.owner(bodies[i].name) != cell.owner(bodies[j].name):
                 before, after = (float(np.linalg.norm(at[i] - at[j])) for at in points)
@@ -382,7 +386,7 @@ def test_command_writes_each_arms_file(write, tmp_path, capsys):
 def test_fruits_are_picked_around_each_other(robot, monkeypatch):
     """Without independent motions: transits are planned together, then the approaches."""
     scheduled = _CellPlanner._schedule
-    monkeypatch.setattr(_CellPlanner, "_scheduled", lambda *given: scheduled(*given) if len(given) > 3 else None)
+    monkeypatch.setattr(_CellPlanner, "_schedule", lambda *given: scheduled(*given) if len(given) > 3 else None)
     monkeypatch.setattr(_CellPlanner, "_in_turn", lambda *_: None)
     fruits = tuple(Fruit(name=n, center=(1.2, y, 1.6), radius=0.04) for n, y in (("a", 0.3), ("b", -2.3)))
     arms = tuple(

@@ -69,8 +69,8 @@ def to_joint_trajectory(
             stamp_s,
             "the time of the first sample on the controller's clock, such as the result's begins_s, and not 0, the "
             "time of receipt: the motion takes over from a running one, and a controller that begins it on receipt "
-            "would send the arm back. For a motion that began at 0, send trajectory.since(row) with the time of that "
-            "sample",
+            "would send the arm back. For a motion that began at 0, send trajectory.cut_before(row) with the time of "
+            "that sample",
         )
     header = _header(frame_id, stamp_ns)
     given = (*_FIELDS_OF[trajectory.interpolation], *(["effort"] if truth("effort", effort) else []))

@@ -83,7 +83,7 @@ def between_rows(trajectory: Trajectory, rows: np.ndarray, looks: int = 3) -> np
 def assert_clear(
     robot: Robot, scene: Scene, configurations: np.ndarray, *, sigmas: float = 3.0, touched: str | None = None
 ) -> None:
-    """Check the clearance of every link, except the last one from the touched fruit."""
+    """Check the clearance of every link, except those on the last joint from the touched fruit."""
     solids = scene.solids_with_goal
     if not solids:
         return
@@ -92,7 +92,9 @@ def assert_clear(
     keep = np.array([*(scene.clearance + sigmas * solid.sigma for solid in solids), *own])
     spare = np.min([checker.distances(q) for q in configurations], axis=0) - keep
     if touched is not None:
-        spare[len(checker.link_names) - 1, [name == touched for name in checker.obstacle_names]] = np.inf
+        last = [name for name, shapes in checker.parts.links.items() if shapes[0].parentJoint == robot.tool_joint]
+        named = [name == touched for name in checker.obstacle_names]
+        spare[np.ix_([name in last for name in checker.mover_names], named)] = np.inf
     mover, other = np.unravel_index(int(spare.argmin()), spare.shape)
     assert spare.min() > 0.0, f"{checker.mover_names[mover]} and {checker.obstacle_names[other]}: {spare.min()}"
 
@@ -144,9 +146,12 @@ def assert_grasps(robot: Robot, scene: Scene, result: PlanResult) -> None:
     assert grasp is not None
     heading = last_link(robot, grasp.goal)
     told = math.radians(result.report["grasp"]["approach_deg"])
-    upward = robot.plane_at(robot.yaw_of(grasp.goal))[1] @ heading
-    assert math.cos(told - math.atan2(upward[1], upward[0])) > 1.0 - 1e-9
     target = scene.goal.position if name is None else next(f.center for f in scene.fruits if f.name == name)
+    ahead, up, _ = robot.plane_at(robot.yaw_of(grasp.goal))[1]
+    away = np.array(target) - robot.model.jointPlacements[1].translation
+    if away @ ahead < 0.0:  # behind the base: outward is the other way
+        ahead = -ahead
+    assert math.cos(told - math.atan2(up @ heading, ahead @ heading)) > 1.0 - 1e-9
     np.testing.assert_allclose(robot.tool_positions(grasp.goal), target, rtol=0, atol=1e-6)
     bounds = scene.goal.approach_deg
     if bounds is not None:

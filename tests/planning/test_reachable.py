@@ -118,7 +118,7 @@ def test_blocking_obstacle_and_depth_are_reported(arm: Robot, gap: float) -> Non
     if gap < 0.0:
         assert one.reason == "blocked"
         assert one.contact is not None
-        assert (one.contact.obstacle, one.contact.link) == ("ball", arm.arm.link_names[-1])
+        assert (one.contact.obstacle, one.contact.link) == ("ball", arm.tool_frame)  # the gripper
         assert one.contact.distance_m == pytest.approx(gap, abs=1e-5)
         assert one.best_clearance_m == pytest.approx(gap, abs=1e-9)
 

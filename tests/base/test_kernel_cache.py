@@ -22,9 +22,9 @@ from hplan.base.kernels import KernelCacheWarning, any_int, inline, kernel
 ROOT = Path(__file__).parents[2]
 
 KERNELS = """
-from hplan.base.kernels import inlined, kernel
+from hplan.base.kernels import inline, kernel
 
-@inlined
+@inline
 def half(x):
     return 0.5 * x
 
@@ -148,6 +148,38 @@ def test_kernel_that_is_not_tiny_is_compiled_once(folder: Path) -> None:
     assert caller.stat().st_ino == kept
 
 
+RECORDS = """
+import numpy as np
+from hplan.base.kernels import kernel
+
+@kernel
+def value(row):
+    return {}
+
+@kernel
+def first(rows):
+    return value(rows[0]) + 1.0
+
+@kernel
+def last(rows):
+    return value(rows[-1]) + 2.0
+
+points = np.array([(2.0, 3.0), (4.0, 5.0)], dtype=[("x", "f8"), ("y", "f8")])
+counts = np.array([(6, 2.0), (7, 8.0)], dtype=[("n", "i8"), ("x", "f8")])
+""".format(" + ".join(f"(row.x / {n}.0 if row.x < {n}.0 else row.x * row.x - {n}.0)" for n in range(1, 25)))
+
+
+def test_processes_that_met_records_in_another_order_share_kernels(folder: Path) -> None:
+    """numba numbers record types as it meets them; a symbol with that number would name another kernel elsewhere."""
+    (folder / "records.py").write_text(RECORDS)
+    meet, call = "from records import *\n", "print(first(points), last(counts), first(counts), last(points))\n"
+    right = run(folder, meet + call, NUMBA_CACHE_DIR=str(folder / "alone"))
+    for compiled in ("first(points)", "last(counts)", "first(counts)", "last(points)"):
+        assert run(folder, meet + compiled) == ("", "")
+    for order in ("", "last(counts); first(points)\n", "last(points); first(counts)\n"):
+        assert run(folder, COUNTED + meet + order + call + "print(len(compiled.buffer))") == (f"{right[0]}\n0", "")
+
+
 def test_processes_do_not_compile_the_same(folder: Path) -> None:
     (folder / "long.py").write_text(LONG)
     code = "from hplan.base.kernel_turns import LISTENERS; LISTENERS.append(lambda *told: print(*told)); import long; "
@@ -255,7 +287,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hplan.base.kernels import inlined, kernel
+from hplan.base.kernels import inline, kernel
 
 STEP = 1.0
 FAR = 2.0
@@ -265,7 +297,7 @@ class Pair(NamedTuple):
     first: float
     second: float
 
-@inlined
+@inline
 def half(x):
     return 0.5 * x
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import llvmlite.binding as ll
 import numba as nb
+import numpy as np
 import pytest
 from numba.extending import intrinsic
 
@@ -91,6 +92,19 @@ def test_compiler_names_functions_by_their_identity(compiled: Any) -> None:
     identity = importlib.import_module("numba.core.bytecode").FunctionIdentity.from_function(compiled.py_func)
     for name in ("func", "unique_id", "unique_name", "func_qualname"):
         assert hasattr(identity, name), SINCE.format(f"FunctionIdentity.{name}", "kernels")
+
+
+def test_symbols_name_records_by_their_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The arguments of the type, and nothing else of it, are in the symbol."""
+    record = nb.from_dtype(np.dtype([("x", np.float64)]))
+    mangle = importlib.import_module("numba.core.itanium_mangler").mangle
+
+    def symbol(name: str) -> str:
+        monkeypatch.setattr(nb.core.types.Record, "mangling_args", property(lambda _: ("Record", (name,))))
+        return str(mangle("kernel", (record,)))
+
+    needed = SINCE.format("types.Record.mangling_args that symbols are named by", "kernels")
+    assert symbol("one").replace("3one", "3two") == symbol("two") != symbol("one"), needed
 
 
 def test_intrinsic_has_its_definition() -> None:

@@ -261,7 +261,7 @@ def test_pairs_that_are_one_mover_count_as_the_farthest_of_them(load, monkeypatc
     bezier = rng.uniform(robot.lower, robot.upper, (10, 1, robot.dof)) + 0.05 * rng.normal(size=(10, 4, robot.dof))
     alike, deviations = parts.motion_groups, np.full((1, robot.dof), 0.01)
     together = motion_of_movers(checker, bezier, deviations)[1:]
-    monkeypatch.setitem(vars(parts), "alike", np.arange(len(alike)))
+    monkeypatch.setitem(vars(parts), "motion_groups", np.arange(len(alike)))
     alone = motion_of_movers(checker, bezier, deviations)[1:]
     assert alike.max() + 1 < len(alike)
     for of_mover, of_pair in zip(together, alone, strict=True):

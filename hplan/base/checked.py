@@ -56,7 +56,7 @@ class Options:
             fault = max(error.errors(), key=lambda fault: len(fault["loc"]))
             words = "more values" if fault["type"] == "missing" else fault["msg"]
             expected = re.sub(r"^\w+ should (be|have) ", "", words)
-            raise OptionError(_place(values, fault["loc"]), fault["input"], expected) from None
+            raise OptionError(_value_path(values, fault["loc"]), fault["input"], expected) from None
         for name in values:
             object.__setattr__(self, name, getattr(checked, name))
 
@@ -90,7 +90,7 @@ def _model(kind: Any) -> type[BaseModel]:
     return create_model(kind.__name__, __config__=ConfigDict(strict=True, allow_inf_nan=False), **fields)
 
 
-def _place(value: Any, steps: Sequence[Any]) -> str:
+def _value_path(value: Any, steps: Sequence[Any]) -> str:
     """Path to the invalid value, as `lower[2]`, without pydantic's type names."""
     name, value = str(steps[0]), value[steps[0]]
     for step in steps[1:]:
@@ -298,7 +298,7 @@ def scene_error(error: ValidationError, kind: type[SceneError] = SceneError) -> 
         value = first["input"][below[0]]
     reason = plain_message(first)
     if first["type"] == "model_type":  # not a mapping in a file, but an object in a program
-        reason = f"expected a {first['ctx']['class_name']} (got {_short(value)})"
+        reason = f"expected a {first['ctx']['class_name']} (got {_shorten(value)})"
     return kind(reason, where=format_key_path(steps) or None, value=value)
 
 
@@ -328,12 +328,12 @@ def plain_message(fault: Any, words: Mapping[str, str] = MappingProxyType({})) -
     if kind == "union_tag_invalid":
         return f"kind is {fault['ctx']['tag']!r}, expected one of {fault['ctx']['expected_tags']}"
     if kind in ("model_type", "model_attributes_type", "dict_type"):
-        return f"input should be a mapping of keys (got {_short(value)})"
+        return f"input should be a mapping of keys (got {_shorten(value)})"
     message = str(fault["msg"]).removeprefix("Value error, ")
     for theirs, ours in {**words, " after validation": ""}.items():
         message = message.replace(theirs, ours)
     message = message[0].lower() + message[1:]
-    return message if isinstance(value, dict) else f"{message} (got {_short(value)})"
+    return message if isinstance(value, dict) else f"{message} (got {_shorten(value)})"
 
 
 def _kinds(base: type[BaseModel] = StrictModel) -> list[str]:
@@ -342,6 +342,6 @@ def _kinds(base: type[BaseModel] = StrictModel) -> list[str]:
     return sorted({*own, *(kind for below in base.__subclasses__() for kind in _kinds(below))})
 
 
-def _short(value: Any) -> str:
+def _shorten(value: Any) -> str:
     text = repr(list(value) if isinstance(value, tuple) else value)
     return text if len(text) <= 60 else f"{text[:57]}..."

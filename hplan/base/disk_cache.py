@@ -63,16 +63,16 @@ def cached_arrays(
             digest.update(len(part).to_bytes(8, "little"))
             digest.update(part)
         path = cache_folder() / f"{digest.hexdigest()[:40]}.npz"
-    found = None if path is None else _read(path)
+    found = None if path is None else _read_arrays(path)
     if found is None:
         found = compute()
         if path is not None:
             with suppress(OSError):
-                _write(path, found)
+                _write_arrays(path, found)
     return {name: frozen(np.asarray(array)) for name, array in found.items()}
 
 
-def _read(path: Path) -> Mapping[str, np.ndarray[Any, Any]] | None:
+def _read_arrays(path: Path) -> Mapping[str, np.ndarray[Any, Any]] | None:
     """Read a file of the cache; None if it is missing or damaged."""
     try:
         content = path.read_bytes()
@@ -86,7 +86,7 @@ def _read(path: Path) -> Mapping[str, np.ndarray[Any, Any]] | None:
         return None
 
 
-def _write(path: Path, arrays: Mapping[str, np.ndarray[Any, Any]]) -> None:
+def _write_arrays(path: Path, arrays: Mapping[str, np.ndarray[Any, Any]]) -> None:
     """Write a file of the cache at once, and remove old ones if the cache is too large."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]

@@ -307,10 +307,10 @@ def _looks(search: Advancement, bezier: FloatArray, checker: CoalScene, counted:
     while True:
         search.place(point_at(bezier, place), place)
         nearest = float(checker.distances_of(np.array([pair]))[0] + counted[pair])
-        now, sways = _interpolate(travel, place), _interpolate(sway, place)
+        now, sways = _interpolate_samples(travel, place), _interpolate_samples(sway, place)
         forward = lower - (now - travelled)[mover_of]
         # Pairs that may be nearer than this one before the next station; they may shorten the step to it.
-        ahead = _interpolate(travel, stations.next_station(place, nearest))
+        ahead = _interpolate_samples(travel, stations.next_station(place, nearest))
         asked = np.flatnonzero(forward - (ahead - now)[mover_of] < nearest)
         if len(asked):
             distances = checker.distances_of(asked) + counted[asked]
@@ -330,7 +330,7 @@ def _looks(search: Advancement, bezier: FloatArray, checker: CoalScene, counted:
         lower, travelled, swayed, place = known, now, sways, stations.next_station(place, nearest)
 
 
-def _interpolate(values: FloatArray, place: float) -> FloatArray:
+def _interpolate_samples(values: FloatArray, place: float) -> FloatArray:
     """Linear interpolation of (bodies, segments + 1) sample values, (bodies,)."""
     row = min(int(place), values.shape[1] - 2)
     result: FloatArray = values[:, row] + (place - row) * (values[:, row + 1] - values[:, row])

@@ -230,7 +230,7 @@ def _tables_of(checker: CoalScene, far: dict[str, float]) -> tuple[TableArray, T
     shapes, solids, _ = checker.meetings
     points, count = [np.zeros(0)], 0
 
-    def placed(corners: FloatArray) -> tuple[int, int]:
+    def number_of(corners: FloatArray) -> tuple[int, int]:
         nonlocal count
         points.append(corners.ravel())
         count += corners.size
@@ -240,12 +240,12 @@ def _tables_of(checker: CoalScene, far: dict[str, float]) -> tuple[TableArray, T
     for row, shape in zip(bodies, shapes, strict=True):
         corners, row["radius"] = outline(shape, rim_from_outside=True)
         at: pin.SE3 = shape.placement
-        row["first"], row["last"] = placed(corners @ at.rotation.T + at.translation)
+        row["first"], row["last"] = number_of(corners @ at.rotation.T + at.translation)
         row["joint"] = shape.parentJoint - 1
     parts = [np.zeros(0, _PART)]
     for number, solid in enumerate(solids):
         if far.get(solid.name, 0.0) > 0.0:
-            begin, last = placed(solid.core)
+            begin, last = number_of(solid.core)
             firsts = np.arange(begin, last, 3 if isinstance(solid, Cloud) else last - begin)
             rows = np.zeros(len(firsts), _PART)
             rows["first"], rows["last"] = firsts, np.append(firsts[1:], last)

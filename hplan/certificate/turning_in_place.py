@@ -57,7 +57,7 @@ def clearance_in_place(
     """
     bounds = dict[tuple[str, str], float]()
     for base in base_bodies(checker.robot):
-        for number in _near(base, checker, most) if base.body.joint != GROUND else ():
+        for number in _nearby_obstacles(base, checker, most) if base.body.joint != GROUND else ():
             solid, growth = checker.grown_obstacles[number]
             movement = None if checker.moving is None else checker.moving.movements[number]
             off = growth + float(distance_errors(extents([base.shape]), [solid], np.zeros((0, 2, 3)))[0])
@@ -79,7 +79,7 @@ def clearance_in_place(
     return ClearanceInPlace(least, tuple(rules))
 
 
-def _near(base: BaseBody, checker: CoalScene, most: float) -> list[int]:
+def _nearby_obstacles(base: BaseBody, checker: CoalScene, most: float) -> list[int]:
     """Indices of obstacles that may come within `most` of a body [m].
 
     Static obstacles are culled by their bounding balls; all moving obstacles are included.

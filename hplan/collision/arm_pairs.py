@@ -259,10 +259,10 @@ def _parts(robot: Robot, deviation: float, parts: tuple[Fold, ...]) -> ArmParts:
         for i, j, why in pairs.allowed
         if why != RIGID
     )
-    return ArmParts(robot, by_link, tuple(_pairs(robot, pairs, parts)), tuple(exempt))
+    return ArmParts(robot, by_link, tuple(_iterate_pairs(robot, pairs, parts)), tuple(exempt))
 
 
-def _pairs(robot: Robot, pairs: SelfPairs, parts: Sequence[Fold]) -> Iterator[ArmPair]:
+def _iterate_pairs(robot: Robot, pairs: SelfPairs, parts: Sequence[Fold]) -> Iterator[ArmPair]:
     """Checked pairs, those of parts of neighbours last; the body with more joints below it moves."""
     whole = list(zip(collision_bodies(robot), body_shapes(robot), strict=True))
     both = [(whole[i], whole[j]) for i, j in pairs.checked]

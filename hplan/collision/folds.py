@@ -108,10 +108,10 @@ def _parts_beyond(robot: Robot, hinge: tuple[int, int, int], deviation: float, c
     points, rounding = outline(shapes[whole], rim_from_outside=True)
     points = points @ shapes[whole].placement.rotation.T + shapes[whole].placement.translation
     for direction in (along / length, -along / length):
-        part = _beyond(points, points @ direction - (origin @ direction + _FOLD_REACH * (radii + clearance)))
+        part = _cut_above(points, points @ direction - (origin @ direction + _FOLD_REACH * (radii + clearance)))
         if not len(part):
             continue
-        shape = _shape(f"{body.name}:{whole}:beyond", shapes[whole].parentJoint, part, rounding)
+        shape = _folded_shape(f"{body.name}:{whole}:beyond", shapes[whole].parentJoint, part, rounding)
         near = one_joint(robot, (shape, shapes[other]), joint, deviation)
         if near.is_always_within(0.0) or not near.may_reach(SLACK + clearance):
             continue
@@ -120,7 +120,7 @@ def _parts_beyond(robot: Robot, hinge: tuple[int, int, int], deviation: float, c
         yield Fold(_body(body, part, rounding), shape, whole, other, farthest)
 
 
-def _beyond(points: FloatArray, heights: FloatArray) -> FloatArray:
+def _cut_above(points: FloatArray, heights: FloatArray) -> FloatArray:
     """(m, 3) points whose hull is the part of a hull above a plane.
 
     There are none if nothing is higher than `SLACK`.
@@ -138,7 +138,7 @@ def _beyond(points: FloatArray, heights: FloatArray) -> FloatArray:
     return np.vstack([points[high], cut.reshape(-1, 3)])
 
 
-def _shape(name: str, joint: int, points: FloatArray, rounding: float) -> pin.GeometryObject:
+def _folded_shape(name: str, joint: int, points: FloatArray, rounding: float) -> pin.GeometryObject:
     """Coal shape of the hull of some points, grown by a radius."""
     if len(points) == 2:
         start, end = (tuple(point) for point in points.tolist())

@@ -71,7 +71,7 @@ class LinkedSolids(Record):
             OptionError: A name in `yield_links` is not a moving link.
         """
         grown = np.broadcast_to(np.asarray(growth, dtype=np.float64), (len(solids),))
-        depth, clear = maximum_deflection(robot, solids, yield_links, hanging), _unsupported(robot, solids)
+        depth, clear = maximum_deflection(robot, solids, yield_links, hanging), _unsupported_joints(robot, solids)
         if depth is None:
             return cls(tuple(solids), frozen(grown.copy()), None if clear.all() else frozen(clear))
         pushing = _pushing_joints(robot, pushing_links(robot, yield_links))
@@ -99,7 +99,7 @@ class LinkedSolids(Record):
         return np.array([solid.name in names for solid in self.solids], dtype=np.bool_)
 
 
-def _unsupported(robot: Robot, solids: Sequence[Solid]) -> BoolArray:
+def _unsupported_joints(robot: Robot, solids: Sequence[Solid]) -> BoolArray:
     """(solids, dof) mask of the joints whose bodies a solid does not support (`hplan.collision.arm_pairs.supports`)."""
     found = np.ones((len(solids), robot.dof), dtype=np.bool_)
     bodies = collision_bodies(robot)

@@ -118,7 +118,7 @@ def _cut(vertices: FloatArray, faces: IntArray, most: int) -> Pieces:
     if _is_convex(vertices, faces):
         return Pieces((whole,), whole.rounding)
     triangles = vertices[faces]
-    voxels = _SolidVoxels.of(triangles)
+    voxels = _SolidVoxels.voxelize(triangles)
     places = _reflex_places(vertices, faces)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     ready: list[tuple[float, _ClippedPart]] = []
@@ -280,7 +280,7 @@ def _fixed_directions() -> FloatArray:
     return directions
 
 
-_SUPPORTS: Final = _fixed_directions()
+_SUPPORT_DIRECTIONS: Final = _fixed_directions()
 
 
 def _rough_volume(points: FloatArray) -> float:
@@ -293,7 +293,7 @@ def _rough_volume(points: FloatArray) -> float:
     samples = 3000
     x, y, z = points[:: 1 + len(points) // samples].T
     # For arrays this small, BLAS takes longer to wake its threads than to multiply.
-    heights = _SUPPORTS[:, :1] * x + _SUPPORTS[:, 1:2] * y + _SUPPORTS[:, 2:] * z
+    heights = _SUPPORT_DIRECTIONS[:, :1] * x + _SUPPORT_DIRECTIONS[:, 1:2] * y + _SUPPORT_DIRECTIONS[:, 2:] * z
     farthest = np.unique(ties.on_raster(heights).argmax(axis=1))
     try:
         return float(ConvexHull(np.column_stack([x, y, z])[farthest]).volume)
@@ -383,7 +383,7 @@ class _SolidVoxels:
     tolerance: float
 
     @classmethod
-    def of(cls, triangles: FloatArray) -> _SolidVoxels:
+    def voxelize(cls, triangles: FloatArray) -> _SolidVoxels:
         """Voxelize a closed surface; the edge length is half the tolerance."""
         from scipy import ndimage
 

@@ -142,7 +142,7 @@ def chain_of(robot: Robot, pose: FloatArray, turn: float, name: str | None = Non
     )
 
 
-def pointed(chain: Chain, axis: FloatArray) -> Chain:
+def with_direction(chain: Chain, axis: FloatArray) -> Chain:
     """Return the chain with the frame's z axis along a vector.
 
     The (3,) unit vector is in the present frame.

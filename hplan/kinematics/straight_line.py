@@ -23,7 +23,7 @@ from hplan.base.arrays import FloatArray, IntArray, Record, frozen
 from hplan.errors import ApproachError
 from hplan.geometry.polyline import curve_length
 from hplan.kinematics.damped_steps import ABOUT_Z, KEPT, draw_back, follow
-from hplan.kinematics.inverse_kinematics import chain_of, pointed
+from hplan.kinematics.inverse_kinematics import chain_of, with_direction
 from hplan.robot.model import Robot
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def lines_back(
     """
     count = _STEPS * math.ceil(distance / (STEP_M * _STEPS))
     distances: FloatArray = distance * np.arange(count + 1) / count
-    chain = pointed(chain_of(robot, np.eye(4), KEPT if keeps_turn else ABOUT_Z), robot.tool_axis)
+    chain = with_direction(chain_of(robot, np.eye(4), KEPT if keeps_turn else ABOUT_Z), robot.tool_axis)
     chain.moves[robot.locked_mask(locked)] = 0.0
     most = np.diff(distances, prepend=0.0)[:, None] * np.where(robot.slides, _SLIDING, TURNING)
     ends, rows = np.array(goals, dtype=np.float64), np.empty((len(goals), count + 1, robot.dof))

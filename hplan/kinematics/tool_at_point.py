@@ -27,7 +27,7 @@ from hplan.collision.reach import carriers, joint_axis
 from hplan.errors import UnreachableError
 from hplan.kinematics.approach_angles import Candidates, Window
 from hplan.kinematics.damped_steps import ABOUT_Z, ANY_TURN, Chain, solve_each
-from hplan.kinematics.inverse_kinematics import MOST_SEEDS, chain_of, distinct, pointed, spread_starts
+from hplan.kinematics.inverse_kinematics import MOST_SEEDS, chain_of, distinct, spread_starts, with_direction
 from hplan.robot.model import Robot
 
 #: Number of directions, and number of starts for each.
@@ -78,7 +78,7 @@ def tool_at_point(
     # Minimum number of joints for a position and a tool direction.
     directed = 5
     for turn, towards in ((ABOUT_Z, _directions(outward, window, directions)), (ANY_TURN, outward[None])):
-        chain = pointed(chain_of(robot, pose, turn), robot.tool_axis)
+        chain = with_direction(chain_of(robot, pose, turn), robot.tool_axis)
         chain.moves[keeps] = 0.0
         if turn == ANY_TURN or np.count_nonzero(chain.moves) >= directed:
             found.append(_solve_directions(robot, begin, chain, towards, directions if turn == ANY_TURN else _STARTS))

@@ -45,7 +45,7 @@ from hplan.online.seen_space import UNSEEN, NextView, SeenSpace, shows, sweep
 from hplan.online.splice import RunningMotion, SplicedResult
 from hplan.planning.motion import Transit
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import check_task, solved
+from hplan.planning.plan import check_task, solve_scene
 from hplan.planning.problem import Problem
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
@@ -281,7 +281,7 @@ class Planner:
         self._check_clouds(scene, options, begins_s)
         self._check_known(scene)
         shown = scene if math.isnan(begin) else scene.starting_at(begin)
-        found = solved(Problem.from_scene(self.robot, shown, options), before=before)
+        found = solve_scene(Problem.from_scene(self.robot, shown, options), before=before)
         self.last = self._with_ages(replace(found, begins_s=begin), scene, begins_s)
         return self.last
 
@@ -565,7 +565,7 @@ class Planner:
             self._check_clouds(scene, self.options, None)
             self._begin_of(None, scene)
             known = with_cloud(scene, UNSEEN, None)
-            path = solved(Problem.from_scene(self.robot, known, self.options)).trajectory.position
+            path = solve_scene(Problem.from_scene(self.robot, known, self.options)).trajectory.position
             unseen = space.unknown(sweep(self.robot, path, space.edge), since_s)
             found = list[tuple[int, int]]()
             for number, view in enumerate(views):
@@ -588,7 +588,7 @@ class Planner:
                     there = scene.copy_unchecked({"goal": Goal(joints_rad=tuple(joints.tolist()))})
                     self._check_known(there)
                     try:
-                        motion = solved(Problem.from_scene(self.robot, there, self.options))
+                        motion = solve_scene(Problem.from_scene(self.robot, there, self.options))
                     except (NotInTimeError, PlanCancelledError):
                         raise
                     except HplanError:

@@ -29,7 +29,7 @@ from hplan.certificate.task_check import TASK_TOLERANCE
 from hplan.errors import HplanError, InputError, NotOnMotionError, RunningMotionBlockedError, UnavoidableContactError
 from hplan.planning.in_time import without_moving
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import solved
+from hplan.planning.plan import solve_scene
 from hplan.planning.problem import Problem
 from hplan.planning.result import PlanResult
 from hplan.planning.world import World
@@ -184,7 +184,7 @@ class RunningMotion:
         )
         stop = stop_motion(self.plan.trajectory, float(time[seam]), self.plan.robot).trajectory
         try:
-            new = solved(Problem.from_scene(self.plan.robot, scene, self._options), stop=stop.cut_before(seam))
+            new = solve_scene(Problem.from_scene(self.plan.robot, scene, self._options), stop=stop.cut_before(seam))
         except UnavoidableContactError as error:
             raise self._takeover_error(error.reasons) from error
         return self._join(seam, until, new)

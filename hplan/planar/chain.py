@@ -36,7 +36,7 @@ ANGLE_TOLERANCE = 1e-10
 #: Position tolerance for arms without a free joint [m].
 MATCH_TOLERANCE = 1e-6
 
-_SIDES = np.array([1.0, -1.0])
+_BOTH_SIDES = np.array([1.0, -1.0])
 
 #: Number of last-link directions tried with the limits ignored, and number of refinements of the best.
 _TRIED, _CLOSER = 720, 3
@@ -304,8 +304,8 @@ def _both_elbows(
     # A straight or folded arm reaches a point this far out of range [m].
     reach_tolerance = 1e-10
     ok = (distance <= l1 + l2 + reach_tolerance) & (distance >= np.abs(l1 - l2) - reach_tolerance)
-    first = argument(points)[..., None] - _SIDES * half[..., None]
-    return first, first + _SIDES * bend[..., None], np.stack([ok, ok & (bend > 0.0) & (bend < np.pi)], axis=-1)
+    first = argument(points)[..., None] - _BOTH_SIDES * half[..., None]
+    return first, first + _BOTH_SIDES * bend[..., None], np.stack([ok, ok & (bend > 0.0) & (bend < np.pi)], axis=-1)
 
 
 def _merge_intervals(spans: list[tuple[float, float]]) -> list[tuple[float, float]]:

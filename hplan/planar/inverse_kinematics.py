@@ -41,7 +41,7 @@ AXIS_YAWS = 5
 ROUNDING = 1e-8
 
 #: For a joint with a range of several turns, values farther than this from its start are omitted [rad].
-_FARTHEST = 2.0 * math.tau
+_FARTHEST_FROM_START = 2.0 * math.tau
 
 
 def reach(
@@ -250,14 +250,16 @@ class _ReachTask:
         return q[other], direction[other]
 
     def _with_whole_turns(self, q: FloatArray, direction: FloatArray, joint: int) -> tuple[FloatArray, FloatArray]:
-        """Repeat solutions for every whole turn within `_FARTHEST` of the start."""
+        """Repeat solutions for every whole turn within `_FARTHEST_FROM_START` of the start."""
         lower, upper = self.robot.lower[joint], self.robot.upper[joint]
         near = 0.5 * (lower + upper) if self.start is None else self.start[joint]
-        first = max(0, math.floor((near - _FARTHEST - lower) / math.tau))
-        turns = np.arange(first, math.ceil((min(upper, near + _FARTHEST) - lower + ANGLE_TOLERANCE) / math.tau))
+        first = max(0, math.floor((near - _FARTHEST_FROM_START - lower) / math.tau))
+        turns = np.arange(
+            first, math.ceil((min(upper, near + _FARTHEST_FROM_START) - lower + ANGLE_TOLERANCE) / math.tau)
+        )
         turned = np.repeat(q, len(turns), axis=0)
         turned[:, joint] += math.tau * np.tile(turns, len(q))
-        kept = (turned[:, joint] <= upper + ANGLE_TOLERANCE) & (np.abs(turned[:, joint] - near) <= _FARTHEST)
+        kept = (turned[:, joint] <= upper + ANGLE_TOLERANCE) & (np.abs(turned[:, joint] - near) <= _FARTHEST_FROM_START)
         turned[:, joint] = np.minimum(turned[:, joint], upper)
         return turned[kept], np.repeat(direction, len(turns))[kept]
 

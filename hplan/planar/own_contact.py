@@ -19,7 +19,7 @@ from hplan.robot.model import Robot, made_once
 from hplan.robot.self_contact import SelfContact, self_contact
 
 #: Tolerance of equal capsules [m].
-_SAME: Final = 1e-7
+_SAME_CAPSULE: Final = 1e-7
 
 
 def checked_contact(robot: Robot, *, deviation: float, clearance: float) -> SelfContact:
@@ -67,7 +67,7 @@ def within_bodies(robot: Robot) -> Robot | None:
     if not all(radii):
         return None
     widths = np.array([max(radius) for radius in radii])
-    if (np.abs(widths - arm.half_widths) <= _SAME).all():
+    if (np.abs(widths - arm.half_widths) <= _SAME_CAPSULE).all():
         return robot
     return robot.with_arm(replace(arm, half_widths=readonly(np.minimum(widths, arm.half_widths))))
 
@@ -83,4 +83,4 @@ def _is_along(robot: Robot, link: int, body: CollisionBody) -> bool:
     place = data.oMi[body.joint + 1]
     core = body.core @ place.rotation.T + place.translation
     ends = points[link : link + 2]
-    return bool(min(np.abs(core - ends).max(), np.abs(core - ends[::-1]).max()) <= _SAME)
+    return bool(min(np.abs(core - ends).max(), np.abs(core - ends[::-1]).max()) <= _SAME_CAPSULE)

@@ -21,8 +21,8 @@ from hplan.planning.motion import (
     certificate_of,
     certified_trajectory,
     seconds,
+    time_along,
     time_problem,
-    timed,
 )
 from hplan.planning.problem import Problem
 from hplan.planning.stages import stage
@@ -140,7 +140,7 @@ class Approach:
             return None
         path = grasp.line(robot, self.problem.scene.locked_joints, longer)
         try:
-            whole = timed(self.touching_problem, path)
+            whole = time_along(self.touching_problem, path)
         except TimingError:
             return None
         check_deadline()

@@ -75,7 +75,7 @@ def within_risk(solve: Solved) -> Solved:
         solve: Solves a problem without a risk.
     """
 
-    def solved(problem: Problem) -> PlanResult:
+    def solve_allocated(problem: Problem) -> PlanResult:
         options, scene = problem.options, problem.scene
         if options.risk is None:
             return solve(problem)
@@ -87,7 +87,7 @@ def within_risk(solve: Solved) -> Solved:
             except TimeIsUpError:
                 raise limit.error(["the risk of motions"]) from None
 
-    return solved
+    return solve_allocated
 
 
 def _solved_at_risk(problem: Problem, risk: float, solve: Solved) -> PlanResult:

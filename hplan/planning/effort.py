@@ -46,7 +46,7 @@ class Effort:
         pose_goals: Maximum number of configurations at a pose that serve as goals, the nearest first.
         compared: Number of goals whose motions by trees are compared; with 1 the first motion found is taken.
         long: Longer trees before a goal is refused, beyond `trees`; `NO_TREES` for none.
-        long_stops_early: True if long trees stop as soon as a motion within `FAR_FROM_BOUND` of the lower bound is found.
+        long_stops_early: True if long trees stop once a motion within `FAR_FROM_BOUND` of the lower bound is found.
         proof_nodes: Maximum number of grid nodes that a proof of infeasibility may visit; 0 for no proofs.
         at_once: True if the first motion is required as soon as possible: with the cheapest search, to few grasps, and
             however slow it is. A faster one near it follows.

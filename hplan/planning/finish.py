@@ -127,7 +127,9 @@ def _finish_path(problem: Problem, path: GivenPath, keep_within_rad: float | Non
     clear, moved = _shown_clear(problem, path)
     problem = problem.from_configurations(points[0], points[-1])
     motion = (
-        _smooth_path(problem, clear) if keep_within_rad is None else _round_corners(problem, clear, keep_within_rad)
+        _smooth_path(problem, clear)
+        if keep_within_rad is None
+        else _motion_with_round_corners(problem, clear, keep_within_rad)
     )
     given: dict[str, Any] = {
         "waypoints": path.count,
@@ -188,7 +190,7 @@ def _smooth_path(problem: Problem, waypoints: FloatArray) -> Transit:
         return quickest(problem, [Path(waypoints, "given")], problem.margin)
     except (CertificationError, TimingError):
         with suppress(CertificationError, TimingError):
-            return _round_corners(problem, waypoints, LARGEST_ROUNDING)
+            return _motion_with_round_corners(problem, waypoints, LARGEST_ROUNDING)
         raise
 
 
@@ -196,7 +198,7 @@ def _smooth_path(problem: Problem, waypoints: FloatArray) -> Transit:
 LARGEST_ROUNDING = 0.02
 
 
-def _round_corners(problem: Problem, waypoints: FloatArray, deviation_rad: float) -> Transit:
+def _motion_with_round_corners(problem: Problem, waypoints: FloatArray, deviation_rad: float) -> Transit:
     """The motion along the path with its corners rounded.
 
     The rounding is as large as can be verified collision-free.
@@ -343,14 +345,14 @@ def places_of(world: World, path: GivenPath, margin: float) -> Iterator[Place]:
         ends = points[number : number + 2]
         free = error is None and near.get(number + 1) is None
         if len(ends) == 2 and free and not world.field.is_clear(ends, margin):
-            place = _nearest(world, ends, number)
+            place = _deepest_contact(world, ends, number)
             if place is not None:
                 yield place
 
 
 def refuse(path: GivenPath, places: list[Place]) -> PathInContactError:
     """The error that names one or more places of a path."""
-    facts = [_facts(path, place) for place in places]
+    facts = [_contact_facts(path, place) for place in places]
     first, fact = places[0], facts[0]
     if first.at_waypoint:
         where = f"waypoint {fact['waypoint']}"
@@ -362,7 +364,7 @@ def refuse(path: GivenPath, places: list[Place]) -> PathInContactError:
     return PathInContactError(f"{where} {words}{more}", facts)
 
 
-def _facts(path: GivenPath, place: Place) -> dict[str, object]:
+def _contact_facts(path: GivenPath, place: Place) -> dict[str, object]:
     number, error = int(path.numbers[place.number]), place.error
     return {
         "waypoint": number if place.at_waypoint else None,
@@ -386,7 +388,7 @@ def _check_with_coal(world: World, q: FloatArray) -> ConfigurationInCollisionErr
     return None
 
 
-def _nearest(world: World, ends: FloatArray, number: int) -> Place | None:
+def _deepest_contact(world: World, ends: FloatArray, number: int) -> Place | None:
     """The deepest contact found between two clear waypoints, or None."""
     first, step = ends[0], ends[1] - ends[0]
     travel = float((reach(world.robot) @ np.abs(step)).max(initial=0.0))
@@ -398,10 +400,10 @@ def _nearest(world: World, ends: FloatArray, number: int) -> Place | None:
     def look_at(fraction: float) -> None:
         nonlocal deepest
         error = _check_with_coal(world, first + fraction * step)
-        if error is not None and (deepest is None or _excess(error) > _excess(deepest[1])):
+        if error is not None and (deepest is None or _excess_indices(error) > _excess_indices(deepest[1])):
             deepest = fraction, error
 
-    for at in _candidates(clearances).tolist():
+    for at in _indices_to_check(clearances).tolist():
         look_at(float(fractions[at]))
     if deepest is None:
         valley = int(ties.argmin(clearances))
@@ -423,11 +425,11 @@ def _nearest(world: World, ends: FloatArray, number: int) -> Place | None:
     return None if deepest is None else Place(number, deepest[0], False, deepest[1])
 
 
-def _excess(error: ConfigurationInCollisionError) -> float:
+def _excess_indices(error: ConfigurationInCollisionError) -> float:
     return error.depth_m - error.clearance_m
 
 
-def _candidates(clearances: FloatArray) -> IntArray:
+def _indices_to_check(clearances: FloatArray) -> IntArray:
     """Indices of the configurations along a motion that coal checks.
 
     They are the lowest valleys, and evenly spread ones of those without clearance.

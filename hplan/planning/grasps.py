@@ -82,7 +82,7 @@ _BEYOND = -1.0
 SPARE = 1e-3
 
 #: Points of an approach that are checked, as fractions of its length: whole steps of `hplan.kinematics.straight_line`.
-_CHECKED = (0.25, 0.5, 0.75, 1.0)
+_CHECKED_FRACTIONS = (0.25, 0.5, 0.75, 1.0)
 
 #: Values of that clearance in the order in which they are tried; the last one is the minimum [m].
 ROOMS = (SPARE, 5e-4, 2e-4, 5e-5)
@@ -435,7 +435,7 @@ def straight_approaches(
     """
     lines = lines_back(robot, goals, length, locked=locked, keeps_turn=keeps_turn)
     steps = len(lines.distances) - 1
-    return lines.reached > steps, lines.rows[:, [0, *(round(part * steps) for part in _CHECKED)]]
+    return lines.reached > steps, lines.rows[:, [0, *(round(part * steps) for part in _CHECKED_FRACTIONS)]]
 
 
 def tool_thickness(robot: Robot, deviation: float) -> float:

@@ -267,17 +267,17 @@ def among_poses(scene: Scene, from_s: float, to_s: float) -> Scene:
     poses = scene.poses_at(clock)
     for item in items:
         rotations, shifts = poses[item.name]
-        points = _points(item)
+        points = _core_points(item)
         places = points @ np.swapaxes(rotations, 1, 2) + shifts[:, None]
         steps = np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1)
-        for number in _apart(steps):
+        for number in _choose_poses(steps):
             name = f"{item.name} at {clock[number]:.3f} s"
             update = transform_fields(item, rotations[number], shifts[number])
             obstacles.append(item.copy_unchecked(update | {"name": name}))
     return scene.copy_unchecked({"obstacles": tuple(obstacles), "fruits": still_fruits, "base_track": None})
 
 
-def _apart(steps: FloatArray) -> Iterator[int]:
+def _choose_poses(steps: FloatArray) -> Iterator[int]:
     """Choose poses: the first, the last, and few close ones between them."""
     gone = math.inf
     for number, step in enumerate([0.0, *steps.tolist()]):
@@ -294,6 +294,6 @@ def _enclosing_ball(fruit: Fruit) -> Sphere:
     return Sphere(**{key: getattr(fruit, key) for key in keys})
 
 
-def _points(item: AnyObstacle) -> FloatArray:
+def _core_points(item: AnyObstacle) -> FloatArray:
     """(k, 3) core points of an obstacle, to measure its travel."""
     return np.concatenate([solid.core for solid in item.solids])

@@ -329,7 +329,7 @@ def certified_trajectory(
     for speed in speeds if problem.options.tracking.delay_s > 0.0 else speeds[:1]:
         if speed < 1.0:
             limits = replace(limits, velocity=np.minimum(limits.velocity, np.maximum(speed * largest, 1e-3)))
-        trajectory = timed(problem, path, limits, grid)
+        trajectory = time_along(problem, path, limits, grid)
         largest = np.abs(trajectory.velocity).max(axis=0) if speed == 1.0 else largest
         certificate = certificate_of(problem, trajectory, None if among is None else among(trajectory))
         if certificate.verified:
@@ -344,7 +344,7 @@ def motion_limits(problem: Problem) -> Limits:
     return limits.scale(problem.options.speed)
 
 
-def timed(
+def time_along(
     problem: Problem, path: GeometricPath, limits: Limits | None = None, grid: FloatArray | None = None
 ) -> Trajectory:
     """The fastest trajectory along a path.

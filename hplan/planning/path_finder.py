@@ -282,7 +282,7 @@ def tree_paths(
                 found.append(Path(waypoints, "trees"))
         if len(found) < 2:
             return found
-        velocity, shorter = problem.robot.velocity_limit, [shortened(problem, path) for path in found]
+        velocity, shorter = problem.robot.velocity_limit, [shorten_path(problem, path) for path in found]
         order = ties.argsort([path_time(points, velocity) for points in shorter]).tolist()
         if len(found) > OF_A_CLASS:
             points = np.stack([_sample_evenly(shorter[number], velocity) for number in order])
@@ -291,7 +291,7 @@ def tree_paths(
         return [found[number] for number in order]
 
 
-def shortened(problem: Problem, path: Path) -> FloatArray:
+def shorten_path(problem: Problem, path: Path) -> FloatArray:
     """(k, dof) waypoints of a path of trees after shortcuts."""
     return shorten(path.waypoints, problem.field, margin=0.1 * problem.margin, rounds=START_SHORTCUTS)
 

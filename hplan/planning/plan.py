@@ -18,7 +18,7 @@ from hplan.planning.at_risk import within_risk
 from hplan.planning.in_time import past_moving_obstacles
 from hplan.planning.motion import Plan, Solver, Transit, best_of, motion_limits, seconds
 from hplan.planning.options import PlanOptions
-from hplan.planning.plans import plans_from_rest, reusing, with_all_efforts
+from hplan.planning.plans import plans_from_rest, with_all_efforts, with_reuse
 from hplan.planning.problem import Problem
 from hplan.planning.report import deadline_report
 from hplan.planning.result import PlanResult, bounded_phases
@@ -81,7 +81,7 @@ def plan(
     check_task(robot, scene, options, progress, takes_risk=True)
     options = PlanOptions() if options is None else options
     with time_limit(options.deadline_s, cancel):
-        return within_risk(partial(solved, progress=progress))(Problem.from_scene(robot, scene, options))
+        return within_risk(partial(solve_scene, progress=progress))(Problem.from_scene(robot, scene, options))
 
 
 def check_task(
@@ -109,7 +109,7 @@ def check_task(
     warn_of_far_obstacles(robot, scene)
 
 
-def solved(
+def solve_scene(
     problem: Problem, *, progress: Progress = no_progress, before: Transit | None = None, stop: Trajectory | None = None
 ) -> PlanResult:
     """Solve the problem of a scene.
@@ -151,7 +151,7 @@ def solver(before: Transit | None = None, stop: Trajectory | None = None) -> Sol
         stop: A motion to rest from a start in motion, tried in addition to the default ones.
     """
     solve = with_all_efforts(from_motion(plans_from_rest, stop))
-    return reusing(before, past_moving_obstacles(solve, stop))
+    return with_reuse(before, past_moving_obstacles(solve, stop))
 
 
 def _last_in_time(found: Iterator[Plan], limit: TimeLimit) -> PlanResult:
@@ -186,7 +186,9 @@ def _fraction_with_room(problem: Problem) -> float:
     """
     robot, scene, options = problem.robot, problem.scene, problem.options
     try:
-        found = solved(Problem.from_scene(robot, scene, replace(options, tracking_error=0.0, tracking_delay_s=0.0)))
+        found = solve_scene(
+            Problem.from_scene(robot, scene, replace(options, tracking_error=0.0, tracking_delay_s=0.0))
+        )
     except HplanError:
         return 0.0
 

@@ -66,7 +66,7 @@ def with_all_efforts(solve: Solver) -> Solver:
     return solver
 
 
-def reusing(before: Transit | None, solve: Solver) -> Solver:
+def with_reuse(before: Transit | None, solve: Solver) -> Solver:
     """A solver that keeps or repairs an earlier motion if possible.
 
     Args:

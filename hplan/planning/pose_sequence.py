@@ -38,7 +38,7 @@ from hplan.errors import (
 from hplan.geometry.polyline import path_length, stations
 from hplan.geometry.rotation import quaternion_rotation
 from hplan.kinematics.damped_steps import UPRIGHT, Chain, follow
-from hplan.kinematics.inverse_kinematics import chain_of, checked_pose, pointed
+from hplan.kinematics.inverse_kinematics import chain_of, checked_pose, with_direction
 from hplan.kinematics.straight_line import line_to
 from hplan.optimization.smooth_path import SMALLEST_FRACTION
 from hplan.planning.finish import given_path, scene_along
@@ -220,7 +220,7 @@ def _upright_chain(robot: Robot, scene: Scene, up: FloatArray, direction: FloatA
     z = np.array([0.0, 0.0, 1.0])
     pose = np.eye(4)
     pose[:3, :3] = pin.Quaternion.FromTwoVectors(z, up).toRotationMatrix()
-    chain = pointed(chain_of(robot, pose, UPRIGHT), direction)
+    chain = with_direction(chain_of(robot, pose, UPRIGHT), direction)
     moves = np.where(robot.locked_mask(scene.locked_joints), 0.0, chain.moves)
     return chain._replace(moves=moves, free_turn=np.array([UPRIGHT, lean]))
 

@@ -188,14 +188,14 @@ def write_report(report: dict[str, Any], path: Path | str) -> Path:
 
 def report_text(report: dict[str, Any]) -> str:
     """A report as JSON; numbers that are not finite become null."""
-    return json.dumps(_plain(report), indent=2, allow_nan=False) + "\n"
+    return json.dumps(_to_plain(report), indent=2, allow_nan=False) + "\n"
 
 
-def _plain(value: Any) -> Any:
+def _to_plain(value: Any) -> Any:
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): _to_plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [_to_plain(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

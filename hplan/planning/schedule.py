@@ -5,8 +5,8 @@ It passes through clear cells of path and time.
 A cell is the segment of the motion that takes `_STATION_S` at full speed, a station, during a time interval of one step
 plus an allowance for timing errors on both sides. It is clear if the arm at its middle is farther from all moving
 obstacles than arm and obstacles travel within the cell. Its interval is halved until that is decided or obstacles
-travel less than `_RESOLUTION_M`; then its segment is checked in `_PARTS` parts. Static obstacles are not checked, and
-nothing here is a proof: the certificate is.
+travel less than `_RESOLUTION_M`; then its segment is checked in `_PARTS_OF_CELL` parts. Static obstacles are not
+checked, and nothing here is a proof: the certificate is.
 
 A motion is run with its own clock :math:`\sigma(t)`. The speed :math:`r =
 \dot\sigma \in [0, 1]` of the clock is a multiple of :math:`1 / m` at times that are one step :math:`h` apart, and
@@ -50,7 +50,7 @@ _STATION_S: Final = 0.00625
 _RESOLUTION_M: Final = 8e-3
 
 #: Number of parts of a cell's segment in the final check.
-_PARTS: Final = 8
+_PARTS_OF_CELL: Final = 8
 
 
 class MovingField:
@@ -150,10 +150,10 @@ class PathInTime:
             first[first] = self._clear(rest[first], middle_s, end_s)
             clear[undecided] = first
             return clear
-        parts = (np.arange(_PARTS) + 0.5) / _PARTS - 0.5
+        parts = (np.arange(_PARTS_OF_CELL) + 0.5) / _PARTS_OF_CELL - 0.5
         places = np.clip(rest[:, None] + parts, 0.0, len(self.configurations) - 1.0) * self._spacing_s
         spare = field.clearance_along(self._motion.positions(places.ravel())) - margin_m
-        spare -= np.repeat(self._travel[rest], _PARTS, axis=0) / _PARTS
+        spare -= np.repeat(self._travel[rest], _PARTS_OF_CELL, axis=0) / _PARTS_OF_CELL
         clear[undecided] = np.all(spare.reshape(len(rest), -1) > travel, axis=1)
         return clear
 

@@ -80,7 +80,7 @@ def _plans_in_motion(problem: Problem, state: BoundaryState, solve: Solver, stop
         if is_found and problem.effort.compared == 1:
             return
 
-    def onward(stopped: Motion) -> Plan:
+    def plan_onward(stopped: Motion) -> Plan:
         planned = solve(replace(problem, start=stopped.trajectory.position[-1]))
         return _stopping_first(stopped, next(planned) if problem.effort.at_once else best_of(planned))
 
@@ -88,7 +88,7 @@ def _plans_in_motion(problem: Problem, state: BoundaryState, solve: Solver, stop
         stopping = after_stop(
             stops(problem.robot, state, 1.0 / options.rate_hz, stop),
             lambda motion: certificate_of(problem, motion, rest_to_rest=False),
-            onward,
+            plan_onward,
             certify=options.certify,
         )
     except HplanError as error:

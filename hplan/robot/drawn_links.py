@@ -206,11 +206,11 @@ def _points(shapes: Iterable[pin.GeometryObject]) -> FloatArray:
 
     The points are in the joint's frame.
     """
-    placed = [_box_corners(s.geometry) @ s.placement.rotation.T + s.placement.translation for s in shapes]
+    placed = [_geometry_corners(s.geometry) @ s.placement.rotation.T + s.placement.translation for s in shapes]
     return np.concatenate([*placed, np.empty((0, 3))])
 
 
-def _box_corners(geometry: coal.CollisionGeometry) -> FloatArray:
+def _geometry_corners(geometry: coal.CollisionGeometry) -> FloatArray:
     if isinstance(geometry, coal.BVHModelBase):
         return np.asarray(geometry.vertices(), dtype=np.float64).reshape(-1, 3)
     geometry.computeLocalAABB()
@@ -251,6 +251,6 @@ def _convex_solids(geometry: coal.CollisionGeometry) -> Iterator[coal.CollisionG
     if not isinstance(geometry, coal.BVHModelBase):
         yield geometry
         return
-    hull = convex_shape(whole_hull(_box_corners(geometry)))
+    hull = convex_shape(whole_hull(_geometry_corners(geometry)))
     if float(geometry.computeVolume()) >= _FILLED_FRACTION * float(hull.computeVolume()):
         yield hull

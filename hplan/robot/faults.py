@@ -27,7 +27,7 @@ class Faults:
         self.mended: list[str] = []
 
     @contextmanager
-    def collecting(self) -> Iterator[None]:
+    def collect(self) -> Iterator[None]:
         """Context in which a `RobotFileError` is kept instead of raised."""
         try:
             yield

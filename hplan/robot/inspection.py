@@ -94,9 +94,9 @@ def inspect_robot(path: Path | str, *, tool_frame: str | None = None, **options:
     """
     files = robot_files(path)
     start = time.perf_counter()
-    robot, faults, messages = _load(path, tool_frame=tool_frame, **options)
+    robot, faults, messages = _load_collecting(path, tool_frame=tool_frame, **options)
     load_s = time.perf_counter() - start
-    root = _root(files.urdf, options)
+    root = _read_root(files.urdf, options)
     read = Faults(files.urdf)
     urdf = read_urdf(files.urdf, root, faults=read)
     frames, _ = tool_frames(urdf)
@@ -115,13 +115,13 @@ def inspect_robot(path: Path | str, *, tool_frame: str | None = None, **options:
         frame,
         frames,
         tuple(name for name, link in urdf.links.items() if not link.shapes and _has_body(link.element)),
-        () if robot is None else _touching(robot),
+        () if robot is None else _touching_links(robot),
         robot,
         load_s,
     )
 
 
-def _load(path: Path | str, **options: Any) -> tuple[Robot | None, tuple[str, ...], tuple[str, ...]]:
+def _load_collecting(path: Path | str, **options: Any) -> tuple[Robot | None, tuple[str, ...], tuple[str, ...]]:
     """Robot, faults and warnings of loading a file."""
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always", HplanWarning)
@@ -140,7 +140,7 @@ def _load(path: Path | str, **options: Any) -> tuple[Robot | None, tuple[str, ..
     return robot, faults, tuple(messages)
 
 
-def _root(urdf: Path, options: Mapping[str, Any]) -> ET.Element:
+def _read_root(urdf: Path, options: Mapping[str, Any]) -> ET.Element:
     folders = [Path(folder) for folder in options.get("package_dirs", ())]
     return read_urdf_xml(urdf, None, folders, options.get("xacro_args"))
 
@@ -154,10 +154,10 @@ def _with_guessed_limits(path: Path | str, urdf: Urdf, joints: Sequence[Joint], 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "guessed.limits.yaml")
         file.write_text(limits_template("guessed", urdf, joints), encoding="utf-8")
-        return _load(path, **{**options, "limits": file})[0]
+        return _load_collecting(path, **{**options, "limits": file})[0]
 
 
-def _touching(robot: Robot) -> tuple[TouchingLinks, ...]:
+def _touching_links(robot: Robot) -> tuple[TouchingLinks, ...]:
     """Pairs of links on different joints whose shapes touch at the zero or the middle configuration."""
     model, shapes = robot.model, robot.collision_model
     geometries = pin.GeometryData(shapes)
@@ -255,7 +255,7 @@ def repair_urdf(path: Path, out: Path, **options: Any) -> tuple[str, tuple[str, 
     Raises:
         RobotFileError: The file is missing or no URDF.
     """
-    root, faults = _root(path, options), Faults(path, repairs=True)
+    root, faults = _read_root(path, options), Faults(path, repairs=True)
     meshes = MeshFinder(path, [Path(folder) for folder in options.get("package_dirs", ())])
     urdf = read_urdf(path, root, faults=faults)
     check_inertias(faults, urdf)

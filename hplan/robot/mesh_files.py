@@ -20,7 +20,7 @@ from hplan.robot.faults import Faults
 from hplan.robot.urdf_xml import folders_around, line_of, package_folder
 
 #: Names that begin with a package's name: ROS's and Gazebo's.
-_PACKAGE: Final = ("package://", "model://")
+_PACKAGE_SCHEMES: Final = ("package://", "model://")
 
 
 class MeshFinder:
@@ -45,7 +45,7 @@ class MeshFinder:
 
         Pinocchio may know the address of a missing one.
         """
-        if name.startswith(_PACKAGE):
+        if name.startswith(_PACKAGE_SCHEMES):
             within = name.partition("://")[2].lstrip("/")
             package, _, inside = within.partition("/")
             found = next(
@@ -61,7 +61,7 @@ class MeshFinder:
         folders, names = [self._path.parent, *self._folders], dict.fromkeys((plain, plain.replace("\\", "/")))
         found = next(filter(is_file, (folder / part for part in names for folder in folders)), None)
         installed = re.search(r"/share/([^/]+/.+)", plain)  # on another machine
-        return self.find(f"{_PACKAGE[0]}{installed[1]}") if found is None and installed is not None else found
+        return self.find(f"{_PACKAGE_SCHEMES[0]}{installed[1]}") if found is None and installed is not None else found
 
     def locate(self, root: ET.Element, faults: Faults) -> bool:
         """Write mesh files and units; return True if anything changed.
@@ -84,7 +84,7 @@ class MeshFinder:
                         "package's name; package_dirs=[FOLDER] (--package-dir FOLDER) names the folders of packages"
                     )
                 continue
-            if name.startswith(_PACKAGE) or not is_file(self._path.parent / name.removeprefix("file://")):
+            if name.startswith(_PACKAGE_SCHEMES) or not is_file(self._path.parent / name.removeprefix("file://")):
                 note_input(found)
                 mesh.set("filename", str(found.resolve()))
                 changed = True
@@ -148,7 +148,7 @@ def is_mesh(file: Path) -> bool:
 
 def _is_foreign(name: str) -> bool:
     """True for an address of another kind, which Pinocchio may know."""
-    return ":" in name and not name.startswith((*_PACKAGE, "file://"))
+    return ":" in name and not name.startswith((*_PACKAGE_SCHEMES, "file://"))
 
 
 def _collada_unit(file: Path) -> float:

@@ -523,7 +523,7 @@ def _read_robot(
         ()
         if isinstance(collision_from_visual, bool)
         else list_of("collision_from_visual", collision_from_visual, str, "names of links"),
-        limits=given if given is not None or files.urdf == URDF_TEXT else _existing(default_limits(files.urdf)),
+        limits=given if given is not None or files.urdf == URDF_TEXT else _find_existing(default_limits(files.urdf)),
         guesses_tool=tool_frame is None,
         xacro_args={name: str(value) for name, value in _read_hold("xacro_args", xacro_args, "{name: value}").items()},
     )
@@ -632,5 +632,5 @@ def _read_hold(name: str, given: Mapping[str, _T] | None, expected: str) -> dict
     return {} if given is None else dict(instance(name, given, Mapping, expected))  # type: ignore[type-abstract]
 
 
-def _existing(file: Path) -> Path | None:
+def _find_existing(file: Path) -> Path | None:
     return file if is_file(file) else None

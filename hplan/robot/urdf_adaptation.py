@@ -117,13 +117,13 @@ def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice, faults: Faults
     urdf = read_urdf(path, root, faults=collected)
     missing = meshes.drop_missing_visuals(root, tries=choice.tries_visuals)
     if choice.from_visual:
-        with collected.collecting():
+        with collected.collect():
             shape_links_from_visuals(path, root, choice.from_visual)
         changed = True
     changed |= meshes.locate(root, collected) or bool(missing)
     chain = _Adaptation(collected, str(root.get("name")), urdf, choice)
     if len(urdf.joints) == len(root.findall("joint")):
-        with collected.collecting():
+        with collected.collect():
             changed |= chain.apply()
     is_utf8 = getattr(root, "encoding", "utf-8") in ("utf-8", "ascii", "us-ascii")
     as_is = not changed and not collected.mended and is_utf8 and path != URDF_TEXT and path.suffix != ".xacro"
@@ -318,7 +318,7 @@ class _Adaptation:
         }
         for joint in self._urdf.joints.values():
             if joint.name in moving:
-                with self._faults.collecting():
+                with self._faults.collect():
                     self._check_moving(joint)
         for follower in self._urdf.joints.values():
             leader = self._leader(follower.name)

@@ -63,7 +63,7 @@ _ELEMENTS: Final = frozenset(_ATTRIBUTES).union(_CHILDREN, *_CHILDREN.values())
 _HARMLESS: Final = frozenset({"material", "visual", "dynamics", "safety_controller", "calibration"})
 
 #: Minimum similarity for a misspelling (`difflib.SequenceMatcher.ratio`).
-_ALIKE: Final = 0.8
+_SIMILARITY: Final = 0.8
 
 #: Elements without known extensions, and attributes that they may have nevertheless.
 _CLOSED: Final = frozenset({"origin", "mass", "inertia", "axis", "parent", "child"})
@@ -176,13 +176,13 @@ def read_urdf(path: Path, root: ET.Element, *, any_robot: bool = False, faults: 
     """
     collected = Faults(path) if faults is None else faults
     reader = _Reader(collected, any_robot)
-    with collected.collecting():
+    with collected.collect():
         reader.check_name(root, "the robot")
     named: dict[str, dict[str, ET.Element]] = {}
     for kind in ("link", "joint"):
         seen = named.setdefault(kind, {})
         for element in root.findall(kind):
-            with collected.collecting():
+            with collected.collect():
                 reader.check_name(element, f"a <{kind}>")
                 name = str(element.get("name"))
                 if name in seen:
@@ -296,7 +296,7 @@ class _Reader:
             raise self.fault(element, reason)
 
     def link(self, element: ET.Element) -> Link:
-        where, collecting = f"link {element.get('name')!r}", self._faults.collecting
+        where, collecting = f"link {element.get('name')!r}", self._faults.collect
         self._check_parts(element, where)
         found, inertial = element.find("inertial"), None
         if found is not None:
@@ -304,7 +304,7 @@ class _Reader:
                 inertial = self._inertial(found, where)
         for visual in [] if self._any_robot else element.findall("visual"):
             drawn = _Reader(Faults(self._faults.path, repairs=self._faults.repairs), self._any_robot)
-            with drawn._faults.collecting():
+            with drawn._faults.collect():
                 drawn._geometry_of(visual, where)
                 drawn._origin_of(visual, where)
             if drawn._faults.found:
@@ -320,7 +320,7 @@ class _Reader:
 
     def joint(self, element: ET.Element, links: Mapping[str, Link]) -> Joint | None:
         name, kind = str(element.get("name")), str(element.get("type"))
-        where, collecting = f"joint {name!r}", self._faults.collecting
+        where, collecting = f"joint {name!r}", self._faults.collect
         self._check_parts(element, where)
         kinds = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
         parent, child, axis = None, None, readonly((1.0, 0.0, 0.0))
@@ -367,7 +367,7 @@ class _Reader:
             return {}
         limits: dict[str, float] = {}
         for attribute in ("lower", "upper", "velocity", "effort", "acceleration", "jerk"):
-            with self._faults.collecting():
+            with self._faults.collect():
                 if attribute in limit.attrib:
                     (limits[attribute],) = self._numbers(limit, attribute, where, 1)
                 elif bounded and attribute in ("velocity", "effort"):
@@ -379,7 +379,7 @@ class _Reader:
     def _has_readable_mimic(self, joint: ET.Element, where: str) -> bool:
         known = len(self._faults.found)
         for mimic in joint.findall("mimic"):
-            with self._faults.collecting():
+            with self._faults.collect():
                 self._check_numbers(mimic, where)
         return len(self._faults.found) == known
 
@@ -484,7 +484,7 @@ class _Reader:
         known = _CHILDREN[element.tag]
         seen: set[str] = set()
         for part in list(element):
-            with self._faults.collecting():
+            with self._faults.collect():
                 if self._is_kept(element, part, seen, where):
                     self._check_attributes(part, where)
             if part.tag in known:
@@ -505,7 +505,7 @@ class _Reader:
             if is_frame or self._is_extension(part.tag, known):
                 return False
             reason = self._unknown(part, element, where)
-            meant = get_close_matches(part.tag.lower(), known, 1, _ALIKE)
+            meant = get_close_matches(part.tag.lower(), known, 1, _SIMILARITY)
             if self._faults.repairs and meant:
                 self._mend(part, f"{where}: <{part.tag}> in <{element.tag}> is called <{meant[0]}> now")
                 part.tag = meant[0]
@@ -533,7 +533,7 @@ class _Reader:
         attributes = _ATTRIBUTES.get(part.tag, frozenset(part.attrib))
         for attribute in sorted(part.attrib.keys() - attributes):
             known = attribute in _LABELS if part.tag in _CLOSED else self._is_extension(attribute, attributes)
-            alike = _ALIKE if part.tag not in _CLOSED else 0.6  # an extension is not likely there
+            alike = _SIMILARITY if part.tag not in _CLOSED else 0.6  # an extension is not likely there
             meant = get_close_matches(attribute.lower(), attributes, 1, alike)
             if known:
                 continue
@@ -552,5 +552,5 @@ class _Reader:
         It is not if it resembles a known name, is a known element at a wrong place, or is a shape.
         """
         shortened = any(word.startswith(name.lower()) for word in known)
-        misspelt = shortened or get_close_matches(name.lower(), known, 1, _ALIKE)
+        misspelt = shortened or get_close_matches(name.lower(), known, 1, _SIMILARITY)
         return ":" in name or not (name in _ELEMENTS or misspelt or known == _CHILDREN["geometry"])

@@ -15,7 +15,7 @@ from hplan.base.lazy_import import extra
 from hplan.errors import RobotFileError
 
 #: Maximum size of a URDF [bytes].
-_MOST_BYTES: Final = 16_000_000
+_MOST_URDF_BYTES: Final = 16_000_000
 
 
 class Element(ET.Element):
@@ -59,8 +59,8 @@ def read_urdf_xml(
         content = _content(path, package_dirs, xacro_args or {})
     else:
         content = text.lstrip().encode("utf-8", "surrogatepass")
-    if len(content) > _MOST_BYTES:
-        raise RobotFileError(path, f"it has more than {_MOST_BYTES:,} bytes")
+    if len(content) > _MOST_URDF_BYTES:
+        raise RobotFileError(path, f"it has more than {_MOST_URDF_BYTES:,} bytes")
     root = _parse(path, content)
     if root.tag != "robot":
         raise RobotFileError(path, f"the root element is <{root.tag}>, expected <robot>")
@@ -79,7 +79,7 @@ def is_urdf_text(source: object) -> bool:
 
 def _content(path: Path, package_dirs: Sequence[Path], xacro_args: Mapping[str, str]) -> bytes:
     try:
-        content = ByteBudget(_MOST_BYTES).read(path)
+        content = ByteBudget(_MOST_URDF_BYTES).read(path)
     except OSError as error:
         reason = error.strerror or str(error)
         if isinstance(error, FileNotFoundError) and str(path) == path.name and not path.suffix:

@@ -182,13 +182,13 @@ def exchange_fruits(shares: Mapping[str, Share], near: Nearness, weight: float) 
     def end(shares: Mapping[str, Share]) -> tuple[float, float]:
         return ends({n: share.seconds for n, share in shares.items()}, {n: share.order for n, share in shares.items()})
 
-    def changed(change: Mapping[str, Collection[str]]) -> dict[str, Share]:
+    def apply_change(change: Mapping[str, Collection[str]]) -> dict[str, Share]:
         return found | {name: found[name].select(fruits) for name, fruits in change.items()}
 
     while True:
         now = end(found)
         trials = [change for promised, change in changes() if promised < now]
-        better = next((trial for trial in map(changed, trials) if end(trial) < now), None)
+        better = next((trial for trial in map(apply_change, trials) if end(trial) < now), None)
         if better is None:
             return found
         found = better
@@ -516,19 +516,19 @@ def _schedule_tours(
     return found
 
 
-class _Part(NamedTuple):
+class _TourPart(NamedTuple):
     """Tour segment from rest to rest: start time [s] and motion."""
 
     begin_s: float
     motion: Trajectory
 
 
-def _split_at_rest(tour: TourResult) -> list[_Part]:
+def _split_at_rest(tour: TourResult) -> list[_TourPart]:
     """Split a tour wherever the arm is at rest."""
     rows = tour.trajectory.rows
     rests = [row for row in range(len(rows.time)) if not np.abs(rows.velocity[row]).max() > _AT_REST]
     spans = itertools.pairwise(rests)
-    return [_Part(float(rows.time[a]), tour.trajectory.cut_after(b).cut_before(a)) for a, b in spans]
+    return [_TourPart(float(rows.time[a]), tour.trajectory.cut_after(b).cut_before(a)) for a, b in spans]
 
 
 class _Schedule(NamedTuple):

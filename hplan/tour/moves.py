@@ -24,7 +24,7 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.planning.effort import CLOSE, NO_TREES
 from hplan.planning.failures import NO_MOTION, FailuresError
 from hplan.planning.motion import Motion, best_of, seconds
-from hplan.planning.path_finder import Path, is_straight_clear, path_time, shortened, tree_paths
+from hplan.planning.path_finder import Path, is_straight_clear, path_time, shorten_path, tree_paths
 from hplan.planning.problem import Problem
 from hplan.planning.solver import motion_near, motions, searches_grid_first
 from hplan.robot.limits import Limits, rest_to_rest
@@ -143,7 +143,7 @@ class Moves:
                 self._plan(key, motion_near(problem, self._routes.pop(key)))
             elif key in self._blocked:
                 routes = tree_paths(problem, replace(problem.effort.trees, pairs=1))
-                least_s = [path_time(shortened(problem, path), problem.robot.velocity_limit) for path in routes]
+                least_s = [path_time(shorten_path(problem, path), problem.robot.velocity_limit) for path in routes]
                 if least_s and least_s[0] < self._joins[loaded].duration_between(a, b):
                     self._routes[key] = routes
                     # A motion near a tree path takes about this multiple of the path's duration at the velocity limits.

@@ -227,7 +227,7 @@ class Trajectory(Record):
 
         Args:
             profile: Fraction of the motion's own speed over time: a number, (n, 2) rows of time [s] and factor, or a
-                function of the time (details: function `scaled`).
+                function of the time (details: function `scale_motion`).
             robot: The arm, for its limits.
 
         Raises:
@@ -350,7 +350,7 @@ def stop_motion(trajectory: Trajectory, t: float, robot: Robot) -> Retimed:
         found = rescale(rows, robot, row, np.zeros_like, final_s=0.0)
     rests = rows.is_at_rest(-1)
     if found is not None and (not rests or found[0].duration < trajectory.duration):
-        return _parted(robot, found, row, takes_over_s)
+        return _split_result(robot, found, row, takes_over_s)
     if rests:
         return Retimed.cut(trajectory, trajectory.samples - 1)
     raise TimingError("no stop within the limits was found, and the motion does not end at rest", cause="no stop")
@@ -385,14 +385,14 @@ def scale_motion(trajectory: Trajectory, profile: Profile, robot: Robot) -> Reti
     check_factors(rows, robot, float(own.max()))
     begin = float(trajectory.time[row])
 
-    def wanted(clock: FloatArray) -> FloatArray:
+    def read_profile(clock: FloatArray) -> FloatArray:
         values = factors(begin + clock)
         check_factors(rows, robot, float(values.max(initial=0.0)))
         return values
 
-    found = rescale(rows, robot, row, wanted, final_s=last_s - begin if last == 0.0 else np.inf)
+    found = rescale(rows, robot, row, read_profile, final_s=last_s - begin if last == 0.0 else np.inf)
     if found is not None:
-        return _parted(robot, found, row, begin if row > 0 else trajectory.takes_over_s)
+        return _split_result(robot, found, row, begin if row > 0 else trajectory.takes_over_s)
     if rows.is_at_rest(-1):
         raise TimingError("no motion at these speed factors keeps the limits", cause="speed factors")
     velocity, acceleration = trajectory.velocity[-1], trajectory.acceleration[-1]
@@ -407,7 +407,7 @@ def scale_motion(trajectory: Trajectory, profile: Profile, robot: Robot) -> Reti
     )
 
 
-def _parted(
+def _split_result(
     robot: Robot, found: tuple[Rows, FloatArray, FloatArray, float], row: int, takes_over_s: float | None
 ) -> Retimed:
     """Build the result of a motion retimed from a sample on."""
@@ -560,8 +560,8 @@ def write_csv(trajectory: Trajectory, path: Path | str, robot: Robot | None = No
     if not truth("whole", whole) and trajectory.takes_over_s:
         raise InputError(
             f"the motion takes over {trajectory.takes_over_s:.6g} s after its first sample, and a CSV has no start "
-            "time: run from its first sample, it would send a moving arm back. Write trajectory.since(row) for the "
-            "sample where the arm is, or give whole=True if the arm is at rest at the first sample",
+            "time: run from its first sample, it would send a moving arm back. Write trajectory.cut_before(row) for "
+            "the sample where the arm is, or give whole=True if the arm is at rest at the first sample",
             takes_over_s=trajectory.takes_over_s,
         )
     if robot is not None:

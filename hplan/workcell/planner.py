@@ -65,7 +65,7 @@ _THICKER: Final = 1e-3
 
 #: Maximum displacement of each joint for an arm that moves aside, tried in turn [rad, m], and the number of samples.
 _ASIDE: Final = (0.3, 0.6, 1.2, 2.4)
-_PLACES: Final = 128
+_PLACES_ASIDE: Final = 128
 
 #: Motions of arms, in an order in which they could be run one after the other.
 Legs: TypeAlias = Sequence[tuple[str, Trajectory]]
@@ -361,11 +361,11 @@ class _CellPlanner:
         q = there.configuration({})
         enough = np.minimum(2.0 * _THICKER, 0.5 * field.clearance_along(q[None]))  # closer pairs may stay as close
         for far in _ASIDE:
-            places = q[arm.joints] + far * chance.uniform(-1.0, 1.0, (_PLACES, arm.robot.dof))
+            places = q[arm.joints] + far * chance.uniform(-1.0, 1.0, (_PLACES_ASIDE, arm.robot.dof))
             places = np.clip(places, arm.robot.lower, arm.robot.upper)
-            whole = np.tile(q, (2 * _PLACES, 1))
+            whole = np.tile(q, (2 * _PLACES_ASIDE, 1))
             whole[:, arm.joints] = np.tile(places, (2, 1))
-            whole[_PLACES:, there.arm(other).joints] = goal
+            whole[_PLACES_ASIDE:, there.arm(other).joints] = goal
             clear = (field.clearance_along(whole) > enough).all(axis=1).reshape(2, -1).all(axis=0)
             away = np.round(np.abs(places - q[arm.joints]).sum(axis=1), 6)
             for place in sorted(np.flatnonzero(clear).tolist(), key=lambda each: (away[each], each))[:_TRIED]:

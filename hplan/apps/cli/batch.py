@@ -85,11 +85,11 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
             progress=lambda done, of: progress(f"scene {done} of {of}"),
         )
     if not arguments.quiet:
-        _show(console, rows, arguments.out)
+        _show_rows(console, rows, arguments.out)
     return 0 if all(row.verified for row in rows) else _SOME_FAILED
 
 
-def _show(console: Console, rows: Sequence[BatchRow], path: Path) -> None:
+def _show_rows(console: Console, rows: Sequence[BatchRow], path: Path) -> None:
     """Print one line for each scene, and errors.
 
     Scenes without a motion have an error.

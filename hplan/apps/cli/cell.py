@@ -113,7 +113,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
                 report = {"status": "ok", "scene": cell.scene.name, "robots": {a.name: a.robot.name for a in cell.arms}}
                 write_report(report | result.report | {"time_ms": milliseconds}, staging / name)
     if not arguments.quiet:
-        facts = facts_table(_facts(result, milliseconds, f"{folder.path}: {', '.join(files)}"))
+        facts = facts_table(_cell_facts(result, milliseconds, f"{folder.path}: {', '.join(files)}"))
         show(console, cell.scene.name, ", ".join(arm.name for arm in cell.arms), facts)
     return 0
 
@@ -149,11 +149,11 @@ def certify_cell_motion(arguments: argparse.Namespace, console: Console) -> int:
         **may_touch_report(found.may_touch),
         "versions": versions(),
     }
-    hand_out(arguments, console, report, lambda: _show_certificate(console, cell.scene.name, found))
+    hand_out(arguments, console, report, lambda: _show_cell_certificate(console, cell.scene.name, found))
     return 0 if found.verified else FAILED
 
 
-def _show_certificate(console: Console, scene: str, found: CellCertificate) -> None:
+def _show_cell_certificate(console: Console, scene: str, found: CellCertificate) -> None:
     distances = {"between arms": found.between, **found.arms}
     facts = [
         ("certificate", describe_certificate(found.verified)),
@@ -172,7 +172,7 @@ def _may_touch(pairs: Sequence[tuple[ArmLink, ArmLink]]) -> Iterator[tuple[str, 
         yield "may touch", escape("; ".join(named)) + ": not checked, as declared in the scene"
 
 
-def _facts(result: CellResult | CellTour, milliseconds: float, files: str) -> Iterator[tuple[str, str]]:
+def _cell_facts(result: CellResult | CellTour, milliseconds: float, files: str) -> Iterator[tuple[str, str]]:
     from hplan.workcell.cell import CellResult
 
     report = result.report

@@ -79,11 +79,11 @@ def compile_certificate() -> None:
 
     This compiles the kernels that the optimizer does not call.
     """
-    from hplan.planning.motion import certificate_of, timed
+    from hplan.planning.motion import certificate_of, time_along
     from hplan.trajectory.spline import SplinePath
 
     problem, waypoints = _reference()
-    certificate_of(problem, timed(problem, SplinePath.from_control_points(waypoints)))
+    certificate_of(problem, time_along(problem, SplinePath.from_control_points(waypoints)))
 
 
 def _reference() -> tuple[Problem, FloatArray]:

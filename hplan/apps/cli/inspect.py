@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         **options,
     )
     if not arguments.quiet:
-        _show(console, found)
+        _show_findings(console, found)
     written = list[Path]()
     path = robot_files(arguments.robot).urdf
     if arguments.write_limits is not None:
@@ -120,12 +120,12 @@ def _repair(
     return write_marked(arguments.repair, text, HTML_COMMENT)
 
 
-def _show(console: Console, found: Inspection) -> None:
+def _show_findings(console: Console, found: Inspection) -> None:
     """Print the inspection."""
     from hplan.apps.cli.terminal import escape, facts_table, show
 
     state = f"loads in {found.load_s:.2f} s" if not found.faults else f"{len(found.faults)} faults"
-    show(console, str(found.path), found.name, facts_table(_facts(found, state)))
+    show(console, str(found.path), found.name, facts_table(_robot_facts(found, state)))
     for heading, lines in (("fault", found.faults), ("warning", found.warnings)):
         if lines:
             console.print(_lines_table(heading, lines))
@@ -141,7 +141,7 @@ def _show(console: Console, found: Inspection) -> None:
     console.print()
 
 
-def _facts(found: Inspection, state: str) -> Iterator[tuple[str, str]]:
+def _robot_facts(found: Inspection, state: str) -> Iterator[tuple[str, str]]:
     from hplan.apps.cli.terminal import escape
 
     yield "state", state
@@ -179,12 +179,12 @@ def _joints_table(found: Inspection) -> Table:
     for joint, *limits in zip(found.joints, velocities, accelerations, efforts, strict=True):
         ends = [joint.limits.get(key) for key in ("lower", "upper")]
         unit = "m" if joint.kind == "prismatic" else "rad"
-        rows.append((escape(joint.name), joint.kind, unit, *map(_number, (*ends, *limits))))
+        rows.append((escape(joint.name), joint.kind, unit, *map(_format_cell, (*ends, *limits))))
     headings = ("joint", "kind", "unit", "lower", "upper", "velocity", "acceleration", "effort")
     return number_table(headings, rows, texts=("joint", "kind", "unit"))
 
 
-def _number(value: float | None) -> str:
+def _format_cell(value: float | None) -> str:
     return "-" if value is None else f"{value:.4g}"
 
 

@@ -449,7 +449,7 @@ def _read_obstacles(world: _World, base: pin.SE3, prefix: str, open_meshes: Open
         for number, (content, inner, at) in enumerate(shapes, start=1):
             called = prefix + (name if len(shapes) == 1 else f"{name} {number}")
             try:
-                yield _shape(called, content, place * inner, at, open_meshes)
+                yield _read_shape(called, content, place * inner, at, open_meshes)
             except SceneError as error:
                 inside = (error.where or "").startswith(at)
                 raise SceneError(error.reason, where=error.where if inside else at, value=error.value) from error
@@ -468,7 +468,7 @@ def _iterate_placed_shapes(
         yield check_mapping(content, at), pose_of(places[index] if places else None, f"{where}.{poses}[{index}]"), at
 
 
-def _shape(name: str, content: Mapping[str, Any], place: pin.SE3, where: str, open_meshes: OpenMeshes) -> Obstacle:
+def _read_shape(name: str, content: Mapping[str, Any], place: pin.SE3, where: str, open_meshes: OpenMeshes) -> Obstacle:
     if "vertices" in content:
         corners = f"{where}.triangles"
         rows, triangles = (

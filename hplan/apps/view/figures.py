@@ -286,7 +286,7 @@ def draw_study(result: StudyResult) -> Figure:
     return figure
 
 
-_COLORS = (PATH, OBSTACLE, START, GOAL, INK, RESTORED, QUIET)
+_LINE_COLORS = (PATH, OBSTACLE, START, GOAL, INK, RESTORED, QUIET)
 
 
 @apply_style
@@ -323,11 +323,11 @@ def draw_trajectory(trajectory: Trajectory, robot: Robot | None = None) -> Figur
         axis.grid(color=FAINT, lw=0.6)
         axis.set_ylabel(label)
         for joint, name in enumerate(trajectory.joint_names):
-            style, color = "-" if joint < len(_COLORS) else "--", _COLORS[joint % len(_COLORS)]
+            style, color = "-" if joint < len(_LINE_COLORS) else "--", _LINE_COLORS[joint % len(_LINE_COLORS)]
             axis.plot(trajectory.time, factor[joint] * values[:, joint], style, lw=1.3, color=color, label=name)
         low, high = axis.get_ylim()
         for joint, limit in itertools.product(range(len(units)), limits):
-            axis.axhline(factor[joint] * limit[joint], ls=":", lw=0.8, color=_COLORS[joint % len(_COLORS)])
+            axis.axhline(factor[joint] * limit[joint], ls=":", lw=0.8, color=_LINE_COLORS[joint % len(_LINE_COLORS)])
         axis.set_ylim(low, high)  # limits far outside the trajectory do not rescale the axis
     axes[-1].set_xlabel("time [s]")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower left", ncols=4)

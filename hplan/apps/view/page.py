@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 STRETCHES = 600
 
 #: Times closer than this are considered equal [s].
-_SAME_S = 1e-6
+_EQUAL_TIMES_S = 1e-6
 
 
 def motion_data(robot: Robot, scene: Scene, playback: Playback) -> Json:
@@ -84,10 +84,10 @@ def _fruit_of_each(phases: Sequence[Phase], picked: Mapping[str, float]) -> list
     found: list[str | None] = []
     for phase in phases:
         if phase.name in ("retreat", "drop"):
-            before = [fruit for fruit, time in picked.items() if time <= phase.start_s + _SAME_S]
+            before = [fruit for fruit, time in picked.items() if time <= phase.start_s + _EQUAL_TIMES_S]
             found.append(max(before, key=picked.__getitem__, default=None))
         else:
-            after = [fruit for fruit, time in picked.items() if time >= phase.end_s - _SAME_S]
+            after = [fruit for fruit, time in picked.items() if time >= phase.end_s - _EQUAL_TIMES_S]
             found.append(min(after, key=picked.__getitem__, default=None))
     return found
 

@@ -131,7 +131,7 @@ def sections_at(
     hulls = obstacles.hulls.owners
     if link_model == "rectangle" and len(hulls):
         raise balls_only(obstacles.names[int(hulls[0])])
-    sections = _cut(robot, obstacles, yaw, link_model, within_reach=within_reach)
+    sections = _cut_sections(robot, obstacles, yaw, link_model, within_reach=within_reach)
     if obstacles.links is not None:
         links = sections.links
         sections = _pick_sections(sections, np.flatnonzero(obstacles.links[sections.obstacle_of, links]), links)
@@ -154,7 +154,7 @@ def balls_only(name: str) -> OptionError:
     )
 
 
-def _cut(
+def _cut_sections(
     robot: Robot,
     obstacles: PreparedObstacles,
     yaw: float,
@@ -245,7 +245,7 @@ def _base_sections(robot: Robot, parts: Sequence[BaseShape], obstacles: Prepared
     Parts of turret and pedestal.
     """
     grown = prepare_obstacles(parts, clearance=obstacles.own_clearance, deviation=obstacles.deviation)
-    cut = _cut(robot, grown, yaw, "capsule", within_reach=True)
+    cut = _cut_sections(robot, grown, yaw, "capsule", within_reach=True)
     links = cut.links
     wanted = [link in parts[body].links for link, body in zip(links, cut.obstacle_of, strict=True)]
     return _pick_sections(cut, np.flatnonzero(wanted), links)

@@ -85,7 +85,7 @@ def import_tree(
         _check_row(file, line, kind, numbers)
         counts[kind] += 1
         name = f"{prefix}{kind} {counts[kind]}"
-        start, end = (_transform_point(numbers[first : first + 3], turn, place) for first in (0, 3))
+        start, end = (_place_point(numbers[first : first + 3], turn, place) for first in (0, 3))
         if kind == FRUIT:
             fruits.append(Fruit(name=name, center=start, radius=numbers[6]))
         else:
@@ -106,7 +106,7 @@ def _check_row(file: CsvFile, line: int, kind: str, numbers: list[float]) -> Non
         raise file.fault(line, f"both ends are {'not ' if kind == FRUIT else ''}in the same place")
 
 
-def _transform_point(point: list[float], turn: float, place: tuple[float, ...]) -> Vector:
+def _place_point(point: list[float], turn: float, place: tuple[float, ...]) -> Vector:
     cos, sin = math.cos(turn), math.sin(turn)
     x, y, z = point
     return cos * x - sin * y + place[0], sin * x + cos * y + place[1], z + place[2]

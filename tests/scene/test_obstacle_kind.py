@@ -27,6 +27,9 @@ from hplan.scene.obstacle_kind import Convex, Name, Sigma, Turned
 from hplan.scene.obstacles import KINDS, Box, Cylinder, Mesh, PointCloud
 from hplan.scene.tracks import Sway
 
+#: The links of the harvester among its bodies: pedestal and turret come first, pairs last.
+LINKS = slice(2, 5)
+
 
 class Wedge(Turned, Convex):
     """A block cut along a diagonal, all of it grown by a radius."""
@@ -64,7 +67,7 @@ def test_kernels_and_coal_see_the_same_hull(robot):
         for q in rng.uniform(robot.lower, robot.upper, (30, robot.dof)):
             true = coal.distances(q)[:, 0]
             apart = true > 1e-3
-            np.testing.assert_allclose(field.link_clearances(q, 100.0)[apart], true[apart], atol=5e-5)
+            np.testing.assert_allclose(field.link_clearances(q, 100.0)[LINKS][apart], true[apart], atol=5e-5)
             if wedge.name == "sharp":
                 np.testing.assert_allclose(mesh.distances(q)[:, 0][apart], true[apart], atol=5e-5)
 

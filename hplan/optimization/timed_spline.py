@@ -10,6 +10,7 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.robot.dynamics import InverseDynamics, joints_that_slide
+from hplan.trajectory.speed_profile import check_row_count
 from hplan.trajectory.spline import SplinePath
 from hplan.trajectory.trajectory import Trajectory
 
@@ -200,7 +201,11 @@ class TimedSpline(Record):
         Args:
             dynamics: Inverse dynamics of the arm, for the torques.
             rate_hz: Samples per second.
+
+        Raises:
+            OptionError: There are too many samples (`check_row_count`).
         """
+        check_row_count(self.duration * rate_hz, self.duration, rate_hz)
         clock = np.arange(math.floor(self.duration * rate_hz + 1e-6) + 1, dtype=np.float64) / rate_hz
         position, velocity, acceleration = (self.path.evaluate(clock, derivative) for derivative in range(3))
         still = np.ptp(self.control, axis=0) <= 1e-12  # up to rounding

@@ -40,8 +40,8 @@ from hplan.trajectory.speed_profile import (
     EMPTY_PATH,
     LITTLE,
     MOST_GRID_POINTS,
-    MOST_ROWS,
     SpeedProfile,
+    check_row_count,
     parameter_grid,
     refine,
 )
@@ -271,14 +271,7 @@ def _average_rows(profile: SpeedProfile, limits: Limits, period: float, window: 
     """
     for _ in range(_MOST_SLOWINGS):
         duration = profile.arrival[-1] * factor
-        rows = duration / period + window
-        if not rows <= MOST_ROWS:
-            raise OptionError(
-                "rate_hz",
-                round(1.0 / period, 9),
-                f"at most {MOST_ROWS:,} samples, but the motion of {duration:.4g} s would have {rows:,.0f}: "
-                "use a lower rate or a higher speed",
-            )
+        check_row_count(duration / period + window, duration, 1.0 / period)
         steps = max(1, int(np.ceil(duration / period - 1e-9))) + window + 1
         # Sample i depends on control points i to i + window + 1. The first sample's control points all lie before the
         # start of the motion, the last sample's all after its end.

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from hplan.base.arrays import FloatArray
+from hplan.errors import OptionError
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.limits import GeometricPath, Limits
 from hplan.trajectory.cubics import sample_spline
@@ -28,6 +29,26 @@ MOST_ROWS = 400_000
 #: If samples exceed a limit by more than `LITTLE`, grid intervals around them are split into `_SPLIT`, at most
 #: `_MOST_REFINEMENTS` times, unless they are shorter than `_SHORTEST_INTERVAL` as a fraction of the path.
 LITTLE, _SPLIT, _MOST_REFINEMENTS, _SHORTEST_INTERVAL = 0.01, 4, 6, 1e-7
+
+
+def check_row_count(rows: float, duration: float, rate_hz: float) -> None:
+    """Refuse a motion of too many samples, before they are made.
+
+    Args:
+        rows: Number of samples; may be infinite or NaN.
+        duration: Duration of the motion [s].
+        rate_hz: Samples per second.
+
+    Raises:
+        OptionError: There are more than `MOST_ROWS`.
+    """
+    if not rows <= MOST_ROWS:
+        raise OptionError(
+            "rate_hz",
+            round(rate_hz, 9),
+            f"at most {MOST_ROWS:,} samples, but the motion of {duration:.4g} s would have {rows:,.0f}: "
+            "use a lower rate or a higher speed",
+        )
 
 
 def parameter_grid(path: GeometricPath, points: int) -> FloatArray:

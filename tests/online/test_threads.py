@@ -13,9 +13,11 @@ import pytest
 from planned import post, task
 
 import hplan
+from hplan.collision.coal_accuracy import CURVED
 from hplan.collision.coal_scene import CoalScene
+from hplan.collision.collision_bodies import collision_bodies
 from hplan.planar.grid.yaw_layers import LayerCache
-from hplan.planning.plan import solved
+from hplan.planning.plan import solve_scene
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Sphere
@@ -69,7 +71,10 @@ def test_plans_with_one_robot(robot: Robot) -> None:
 
 
 def test_queries_of_one_collision_scene(robot: Robot) -> None:
-    """The arm's placement must not change during a query."""
+    """The arm's placement must not change during a query.
+
+    The iteration of coal for cylinders begins where the last one ended: their distances differ within its error.
+    """
     scene = CoalScene(robot, scenes()[0].solids)
     pairs = np.arange(len(scene.pairs))
     workers = 4
@@ -82,9 +87,13 @@ def test_queries_of_one_collision_scene(robot: Robot) -> None:
             answers.append(scene.distances_of(pairs))
         return np.array(answers)
 
+    cylinders = {body.name for body in collision_bodies(robot) if body.kind == "cylinder"}
+    contacts = [scene.contact(*pair, 0.0) for pair in scene.pairs]
+    errors = np.array([CURVED if {each.link, each.obstacle} & cylinders else 1e-9 for each in contacts])
+    assert errors.min() < CURVED
     expected = [ask(q)[0] for q in places]
     for found, alone in zip(at_once([lambda q=q: ask(q) for q in places]), expected, strict=True):
-        np.testing.assert_allclose(found, np.tile(alone, (300, 1)), rtol=0, atol=1e-9)
+        assert (np.abs(found - alone) <= errors).all()
 
 
 def test_one_planner(robot: Robot) -> None:
@@ -114,9 +123,9 @@ def test_changes_frames_and_stops_do_not_wait_for_a_plan(robot: Robot, monkeypat
     def slow(*arguments: Any, **options: Any) -> Any:
         planning.set()
         assert go_on.wait(60)
-        return solved(*arguments, **options)
+        return solve_scene(*arguments, **options)
 
-    monkeypatch.setattr("hplan.online.planner.solved", slow)
+    monkeypatch.setattr("hplan.online.planner.solve_scene", slow)
     with ThreadPoolExecutor(2) as pool:
         plan = pool.submit(planner.plan)
         assert planning.wait(60)

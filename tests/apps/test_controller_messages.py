@@ -185,7 +185,7 @@ def test_motion_that_takes_over_needs_stamp_and_does_not_jump(robot: Robot, now:
 def test_motion_that_began_at_0_is_sent_from_a_later_row(swing: PlanResult) -> None:
     """ROS takes a stamp of 0 for the time of receipt, also where a simulated clock began at 0."""
     stop = swing.stop_at(0.4).trajectory
-    with pytest.raises(OptionError, match=r"began at 0, send trajectory.since\(row\) with"):
+    with pytest.raises(OptionError, match=r"began at 0, send trajectory.cut_before\(row\) with"):
         to_joint_trajectory(stop, stamp_s=0.0)
     row = int(np.searchsorted(stop.time, 0.35))
     stamp_s = float(stop.time[row])

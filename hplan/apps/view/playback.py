@@ -119,7 +119,9 @@ def playable(result: Shown) -> tuple[Robot, Scene, Playback]:
     shows = hasattr(result, "certificate") or hasattr(result, "between")
     if not (shows and isinstance(getattr(result, "trajectory", None), Trajectory)):
         raise OptionError("result", result, "a result with a motion, as from plan or plan_tour")
-    picked, dropped = getattr(given, "picked", {}), getattr(given, "dropped", {})
+    # A plan computes its picking time (`PlanResult.picked_fruit`); tours have theirs as a field.
+    picked = getattr(given, "picked_fruit", getattr(given, "picked", {}))
+    dropped = getattr(given, "dropped", {})
     if not hasattr(result, "cell"):
         phases = getattr(given, "phases", ())
         return given.robot, given.scene, Playback(given.trajectory, picked, dropped, phases, given.certificate)

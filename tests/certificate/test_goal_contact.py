@@ -219,7 +219,7 @@ def test_last_link_that_pivots_about_the_fruit_leaves_its_direction(robot, apple
 class Touching(frozenset):
     """Names of touchable bodies, in place of a collision checker."""
 
-    def touching(self, name, hangs_from):
+    def allow_touch(self, name, hangs_from):
         return Touching(self | {name})
 
 

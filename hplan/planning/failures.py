@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections import Counter
+from collections.abc import Iterable
+from typing import Any, Final, Literal, cast, get_args
 
 from hplan.errors import (
     BlockedError,
@@ -13,6 +15,7 @@ from hplan.errors import (
     NoPathError,
     NotFoundError,
     TimingError,
+    UnreachableError,
 )
 
 #: Errors that report a missing motion; any other one is a fault of the input.
@@ -24,6 +27,60 @@ NO_MOTION = (
     TimingError,
     ConfigurationInCollisionError,
 )
+
+#: Reasons why a fruit is not picked, by the first condition that fails: no configuration reaches it, or none was found;
+#: obstacles block all that do; no approach to a collision-free one is certified; no motion to an approach was found.
+Reason = Literal["out_of_reach", "blocked", "no_approach", "no_motion"]
+REASONS: Final[tuple[Reason, ...]] = get_args(Reason)
+
+#: The reasons in words, for tables and figures.
+REASON_WORDS: Final[dict[str, str]] = {
+    "out_of_reach": "out of reach",
+    "blocked": "blocked",
+    "no_approach": "no approach",
+    "no_motion": "no motion found",
+}
+
+#: Key of `HplanError.data` that marks errors about the straight approach, and its value.
+_PHASE, _APPROACH = "phase", "approach"
+
+
+def mark_approach(error: HplanError) -> HplanError:
+    """The error, marked as a failure of the straight approach."""
+    error.data[_PHASE] = _APPROACH
+    return error
+
+
+def reason_of(error: HplanError) -> Reason:
+    """Why a fruit is not picked, by the error of its motion."""
+    if error.data.get("reason") in REASONS:
+        return cast(Reason, error.data["reason"])
+    if isinstance(error, UnreachableError):
+        return "out_of_reach"
+    if isinstance(error, BlockedError):
+        return "blocked"
+    return "no_approach" if error.data.get(_PHASE) == _APPROACH else "no_motion"
+
+
+def obstacle_of(error: HplanError) -> str | None:
+    """Name of the obstacle that an error reports most often; None if unknown."""
+    for one in (*error.data.get("obstacles", ()), *error.data.get("blockers", ()), error.data):
+        if one.get("obstacle") is not None:
+            return str(one["obstacle"])
+    return None
+
+
+def tally_reasons(unpicked: Iterable[tuple[Reason, str | None]]) -> tuple[dict[str, int], dict[str, int]]:
+    """Numbers of fruits by reason, and by obstacle in descending order.
+
+    Args:
+        unpicked: Reason and obstacle of each fruit that is not picked.
+    """
+    listed = list(unpicked)
+    reasons = Counter(reason for reason, _ in listed)
+    obstacles = Counter(obstacle for _, obstacle in listed if obstacle is not None)
+    return {reason: reasons[reason] for reason in REASONS}, dict(obstacles.most_common())
+
 
 #: Maximum number of reasons in the message; `data` has all of them.
 _MOST_REASONS = 3
@@ -80,18 +137,24 @@ class FailuresError(Exception):
         tally = Counter(
             _explain_reason(error) for error in self.errors
         ).most_common()  # in order of appearance if equal
-        reasons = [{"reason": reason, "goals": number} for reason, number in tally]
+        facts: dict[str, Any] = {"reasons": [{"reason": reason, "goals": number} for reason, number in tally]}
+        named = Counter(filter(None, map(obstacle_of, self.errors))).most_common(1)
+        facts |= {"obstacle": named[0][0]} if named else {}
+        if all(error.data.get(_PHASE) == _APPROACH for error in self.errors):
+            facts[_PHASE] = _APPROACH
         if all(isinstance(error, NoPathError | NotFoundError) for error in self.errors):
             missed = next(error for error in self.errors if isinstance(error, NotFoundError))
-            return NotFoundError(missed.tried, goals=count, reasons=reasons)
+            return NotFoundError(missed.tried, goals=count, **facts)
         text = "; ".join(f"{number} x {reason}" for reason, number in tally[:_MOST_REASONS])
         message = (
             f"no certified motion to any of {count} {goals}: {text}{'; ...' if len(tally) > _MOST_REASONS else ''}"
         )
         failed = next(error for error in self.errors if not isinstance(error, NoPathError))
         if isinstance(failed, TimingError) and not any(isinstance(error, CertificationError) for error in self.errors):
-            return TimingError(message, joint=failed.joint, cause=failed.cause)
-        return CertificationError(message, goals=count, reasons=reasons)
+            timing = TimingError(message, joint=failed.joint, cause=failed.cause)
+            timing.data |= facts
+            return timing
+        return CertificationError(message, goals=count, **facts)
 
 
 def _explain_reason(error: HplanError) -> str:

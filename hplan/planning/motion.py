@@ -393,8 +393,11 @@ def require_certificate(problem: Problem, certificate: Certificate) -> Certifica
         CertificationError: The options require a certificate, and it is not verified.
     """
     if problem.options.certify and not certificate.verified:
+        nearest = None if certificate.nearest is None else certificate.nearest.obstacle
+        named = nearest is not None and any(nearest in words for words in certificate.violations)
         raise CertificationError(
             f"the motion is not certified: {'; '.join(certificate.violations)}",
             violations=list(certificate.violations),
+            obstacle=nearest if named else None,
         )
     return certificate

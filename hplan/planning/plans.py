@@ -25,7 +25,7 @@ from hplan.errors import (
 )
 from hplan.planning.approach import Approach, blend
 from hplan.planning.effort import Effort, efforts_of
-from hplan.planning.failures import FailuresError
+from hplan.planning.failures import FailuresError, mark_approach
 from hplan.planning.grasps import COUNT, SPARE, Grasp, Target, grasps, select_promising
 from hplan.planning.motion import Plan, Solver, Transit
 from hplan.planning.pose_goal import configurations_at, goal_pose
@@ -193,7 +193,7 @@ def plans_to_grasps(
             except ConfigurationInCollisionError as error:
                 if error.which == "start":
                     raise
-                failures[number] = error.with_traceback(None)
+                failures[number] = mark_approach(error.with_traceback(None))
         ordered += batch
         if not is_likely and problems:
             proofs = prove_each_goal(merge_problems(list(problems.values())))
@@ -206,7 +206,7 @@ def plans_to_grasps(
                     try:
                         plan = Plan(transit, approach.motions, approach.grasp)
                     except (CertificationError, TimingError) as error:
-                        failures[left[place]] = error.with_traceback(None)
+                        failures[left[place]] = mark_approach(error.with_traceback(None))
                         if not is_found:
                             break
                     else:

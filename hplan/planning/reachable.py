@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Literal
 
 from hplan.base.arguments import truth
 from hplan.base.arrays import Record
@@ -20,7 +19,7 @@ from hplan.errors import (
     UnreachableError,
 )
 from hplan.planning.approach import Approach
-from hplan.planning.failures import NO_MOTION
+from hplan.planning.failures import NO_MOTION, Reason, mark_approach, obstacle_of, reason_of
 from hplan.planning.grasps import Blocked, Grasp, Target, grasps_or_blocked
 from hplan.planning.motion import Motion
 from hplan.planning.options import PlanOptions
@@ -32,10 +31,6 @@ from hplan.planning.stages import Progress, no_progress, stage_clock
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Scene
 
-#: Reasons why a fruit cannot be picked: no configuration reaches it, or none was found; obstacles block all that do; no
-#: approach to a collision-free one is certified; no motion from the start was found.
-Reason = Literal["out_of_reach", "blocked", "no_approach", "no_motion"]
-
 
 @dataclass(frozen=True, eq=False)
 class FruitReach(Record):
@@ -45,6 +40,7 @@ class FruitReach(Record):
         fruit: Name of the fruit.
         reason: Why it cannot be picked; None if it can.
         detail: The reason as a sentence; empty without a reason.
+        obstacle: The obstacle that blocks it, or most often prevents its motions; None if unknown.
         grasp: The grasp, with read-only arrays; None if the fruit cannot be picked.
         motions: The certified approach and retreat, preceded by the transit if motions were requested. Empty if the
             fruit cannot be picked. Without a collision-free straight approach there is no approach: then the grasp is
@@ -58,6 +54,7 @@ class FruitReach(Record):
     fruit: str
     reason: Reason | None = None
     detail: str = ""
+    obstacle: str | None = None
     grasp: Grasp | None = None
     motions: tuple[Motion, ...] = ()
     contact: Contact | None = None
@@ -130,7 +127,7 @@ def _reach(problem: Problem, fruit: Fruit, *, motions: bool) -> FruitReach:
             target, problem.start, standoff=problem.options.standoff_m, locked=problem.scene.locked_joints
         )
     except UnreachableError as error:
-        return FruitReach(fruit.name, "out_of_reach", error.message)
+        return _refused(fruit.name, error)
     if isinstance(found, Blocked):
         return _blocked_fruit(fruit.name, found)
     if motions:
@@ -138,7 +135,7 @@ def _reach(problem: Problem, fruit: Fruit, *, motions: bool) -> FruitReach:
         try:
             approach, plan = next(plans_to_grasps(quick, target, found))
         except NO_MOTION as error:
-            return FruitReach(fruit.name, "no_motion", error.message)
+            return _refused(fruit.name, error)
         return FruitReach(fruit.name, grasp=approach.grasp, motions=plan.motions)
     failure: HplanError | None = None
     for grasp in found:
@@ -148,12 +145,18 @@ def _reach(problem: Problem, fruit: Fruit, *, motions: bool) -> FruitReach:
                 target.world_touching.check_clear(grasp.goal, "goal")
             return FruitReach(fruit.name, grasp=grasp, motions=taken)
         except (CertificationError, ConfigurationInCollisionError, TimingError) as error:
-            failure = failure or error.with_traceback(None)
-    return FruitReach(fruit.name, "no_approach", "" if failure is None else failure.message)
+            failure = failure or mark_approach(error.with_traceback(None))
+    assert failure is not None  # at least one grasp was tried
+    return _refused(fruit.name, failure)
+
+
+def _refused(name: str, error: HplanError) -> FruitReach:
+    return FruitReach(name, reason_of(error), error.message, obstacle_of(error))
 
 
 def _blocked_fruit(name: str, found: Blocked) -> FruitReach:
     contact = found.contact_at(found.best)
     what = "" if contact is None else f": {contact.obstacle!r} against {contact.link!r}"
     detail = f"the best of {found.number_tried} configurations has a clearance of {1e3 * found.best_m:.3g} mm{what}"
-    return FruitReach(name, "blocked", detail, contact=contact, best_clearance_m=found.best_m)
+    obstacle = None if contact is None else contact.obstacle
+    return FruitReach(name, "blocked", detail, obstacle, contact=contact, best_clearance_m=found.best_m)

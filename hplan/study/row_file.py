@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import fcntl
 import io
+import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -25,6 +26,7 @@ _PARSERS: dict[str, Callable[[str], Any]] = {
     "str": str,
     "bool": lambda text: {"True": True, "False": False}[text],
     "float | None": lambda text: float(text) if text else None,
+    "dict[str, int]": json.loads,
 }
 
 
@@ -100,6 +102,8 @@ def _append(file: BinaryIO, cells: Sequence[str]) -> None:
 
 
 def _format_cell(value: Any) -> str:
+    if isinstance(value, dict):
+        return json.dumps(value)
     return "" if value is None else " ".join(value.split()) if isinstance(value, str) else repr(value)
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,11 @@ from hplan.base.arguments import file_path, instance
 from hplan.base.tasks import Pool, outcomes, pool_of
 from hplan.collision.reach import workspace_ball
 from hplan.errors import HplanError, TourError, WorkersLostError
+from hplan.planning.failures import REASONS, Reason, obstacle_of, reason_of, tally_reasons
 from hplan.planning.options import PlanOptions
 from hplan.study.definition import Design, Study, load_study
 from hplan.study.row_file import open_rows
-from hplan.tour.row import RowOptions, pickable, plan_row, within_reach
+from hplan.tour.row import RowOptions, plan_row, reach_in_turn, within_reach
 from hplan.tour.tour import TourOptions, plan_tour
 
 
@@ -32,6 +33,9 @@ class StudyRow:
         motion_s: Duration of the tours [s]; None without tours.
         total_s: Duration including driving and detaching [s]; None without tours along the row.
         cpu_s: Processor time of the measurement [s].
+        out_of_reach: Number of fruits that no configuration reaches, as `blocked`, `no_approach` and `no_motion` the
+            number of fruits that are not picked for that reason (`FruitReach.reason`).
+        obstacles: For the obstacles that prevent picking, the number of fruits.
         error: Reason if the measurement failed; else empty.
     """
 
@@ -52,6 +56,11 @@ class StudyRow:
     motion_s: float | None
     total_s: float | None
     cpu_s: float
+    out_of_reach: int = 0
+    blocked: int = 0
+    no_approach: int = 0
+    no_motion: int = 0
+    obstacles: dict[str, int] = field(default_factory=dict)
     error: str = ""
 
 
@@ -64,6 +73,8 @@ class Choice:
         share: Fraction of all fruit that is picked.
         seconds_per_fruit: Time of the tours per fruit, driving and detaching included if known [s]; None without tours.
         cpu_s: Mean processor time of a design [s].
+        not_picked: Fractions of all fruit that are not picked, by reason (`FruitReach.reason`).
+        obstacles: For the obstacles that prevent picking, the number of fruits, in descending order.
         is_best: True if no other choice picks at least the same share at no more cost (Pareto front).
     """
 
@@ -77,6 +88,8 @@ class Choice:
     share: float
     seconds_per_fruit: float | None
     cpu_s: float
+    not_picked: dict[str, float] = field(default_factory=dict)
+    obstacles: dict[str, int] = field(default_factory=dict)
     is_best: bool = False
 
     @property
@@ -105,6 +118,16 @@ class StudyResult:
     rows: tuple[StudyRow, ...]
     measured: int
     seconds: float
+
+    @property
+    def not_picked(self) -> dict[str, int]:
+        """Number of fruits that are not picked, by reason, over all designs."""
+        return {reason: sum(getattr(row, reason) for row in self.rows) for reason in REASONS}
+
+    @property
+    def obstacles(self) -> dict[str, int]:
+        """For the obstacles that prevent picking, the number of fruits over all designs, in descending order."""
+        return _sum_obstacles(self.rows)
 
     @property
     def choices(self) -> tuple[Choice, ...]:
@@ -192,36 +215,65 @@ def measure(design: Design) -> StudyRow:
     """
     begin = time.thread_time()
     robot, scene = design.robot, design.scene
-    row = partial(
-        StudyRow, design.digest, design.arm, design.tree, design.distance, design.height, design.turn_deg,
-        design.yields.wood, design.yields.below, design.yields.fruit, design.measure, float(workspace_ball(robot)[3]),
-        len(scene.fruits),
-    )  # fmt: skip
+
+    def row(
+        picked: int,
+        unpicked: Iterable[tuple[Reason | None, str | None]],
+        *,
+        stops: int = 1,
+        motion_s: float | None = None,
+        total_s: float | None = None,
+        error: str = "",
+    ) -> StudyRow:
+        known = [(reason, obstacle) for reason, obstacle in unpicked if reason is not None]
+        reasons, obstacles = tally_reasons(known)
+        if not error:  # fruits outside the workspace are not even tried
+            reasons["out_of_reach"] = len(scene.fruits) - picked - sum(map(reasons.__getitem__, REASONS[1:]))
+        return StudyRow(
+            design.digest, design.arm, design.tree, design.distance, design.height, design.turn_deg,
+            design.yields.wood, design.yields.below, design.yields.fruit, design.measure,
+            float(workspace_ball(robot)[3]), len(scene.fruits), picked, stops, motion_s, total_s,
+            time.thread_time() - begin, **reasons, obstacles=obstacles, error=error,
+        )  # fmt: skip
+
     try:
         if design.measure == "reach":
-            return row(len(pickable(robot, within_reach(robot, scene))), 1, None, None, time.thread_time() - begin)
+            found = reach_in_turn(robot, within_reach(robot, scene)).values()
+            return row(sum(one.can_be_picked for one in found), ((one.reason, one.obstacle) for one in found))
         options = PlanOptions(effort=design.effort)
         if design.measure == "row":
             whole = plan_row(robot, scene, options, row=RowOptions(distance=design.distance))
             motion_s, total_s = (whole.report[key] for key in ("motion_s", "total_s"))
-            return row(len(whole.picked), len(whole.stops), motion_s, total_s, time.thread_time() - begin)
-        near = within_reach(robot, scene)
-        tour = plan_tour(robot, near, options, tour=TourOptions(back=True))
-    except TourError:
-        return row(0, 1, 0.0, None, time.thread_time() - begin)
+            left = ((one.reason, one.obstacle) for one in whole.unpicked.values())
+            return row(len(whole.picked), left, stops=len(whole.stops), motion_s=motion_s, total_s=total_s)
+        tour = plan_tour(robot, within_reach(robot, scene), options, tour=TourOptions(back=True))
+    except TourError as none:
+        return row(0, ((reason_of(error), obstacle_of(error)) for _, error in none.reasons), motion_s=0.0)
     except HplanError as error:
-        return row(0, 1, None, None, time.thread_time() - begin, f"{error.kind}: {error.message}")
-    return row(len(tour.order), 1, tour.duration, None, time.thread_time() - begin)
+        return row(0, (), error=f"{error.kind}: {error.message}")
+    return row(len(tour.order), ((one.reason, one.obstacle) for one in tour.unreached), motion_s=tour.duration)
 
 
 def _summary(rows: Sequence[StudyRow]) -> tuple[Any, ...]:
-    """Number of rows, share picked, seconds per fruit, and mean processor time."""
+    """Values of a choice: from the number of rows to the obstacles."""
     picked = sum(row.picked for row in rows)
     times = [row.motion_s if row.total_s is None else row.total_s for row in rows]
     known = [seconds for seconds in times if seconds is not None]
     seconds = sum(known) / picked if picked and known else None
-    share = picked / max(1, sum(row.fruits for row in rows))
-    return len(rows), share, seconds, sum(row.cpu_s for row in rows) / len(rows)
+    fruits = max(1, sum(row.fruits for row in rows))
+    reasons = {reason: sum(getattr(row, reason) for row in rows) / fruits for reason in REASONS}
+    return (
+        len(rows),
+        picked / fruits,
+        seconds,
+        sum(row.cpu_s for row in rows) / len(rows),
+        reasons,
+        _sum_obstacles(rows),
+    )
+
+
+def _sum_obstacles(rows: Sequence[StudyRow]) -> dict[str, int]:
+    return dict(sum((Counter(row.obstacles) for row in rows), Counter[str]()).most_common())
 
 
 def _is_best(one: Choice, others: Sequence[Choice]) -> bool:

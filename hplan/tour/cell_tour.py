@@ -33,7 +33,7 @@ from hplan.planning.stages import Progress, no_progress
 from hplan.planning.world import World
 from hplan.tour.motions import with_carried_fruit
 from hplan.tour.ordering import Costs, best, order_grasps
-from hplan.tour.tour import TourOptions, TourPlanner, TourResult
+from hplan.tour.tour import TourOptions, TourPlanner, TourResult, Unreached
 from hplan.trajectory.trajectory import Phase, Trajectory
 from hplan.workcell.cell import (
     Cell,
@@ -215,7 +215,7 @@ class CellTour(Record, InNotebook):
         phases: Phases of each arm's motion, by name; between them it waits.
         picked: Picking time of each picked fruit [s].
         dropped: Release time of each fruit brought to a drop-off [s].
-        unreached: Fruits that are not picked, with the reason.
+        unreached: Fruits that are not picked, with their errors.
     """
 
     cell: Cell
@@ -225,7 +225,7 @@ class CellTour(Record, InNotebook):
     phases: Mapping[str, tuple[Phase, ...]]
     picked: Mapping[str, float]
     dropped: Mapping[str, float]
-    unreached: Mapping[str, str]
+    unreached: tuple[Unreached, ...]
 
     @property
     def parts(self) -> tuple[Certificate, ...]:
@@ -249,7 +249,7 @@ class CellTour(Record, InNotebook):
         busy = {name: sum(phase.end_s - phase.start_s for phase in own) for name, own in self.phases.items()}
         return {
             "picked": len(self.picked),
-            "unreached": dict(self.unreached),
+            "unreached": [item.as_dict() for item in self.unreached],
             "makespan_s": makespan,
             "s_per_fruit": makespan / max(1, len(self.picked)),
             "busy_s": busy,
@@ -570,5 +570,5 @@ class _Schedule(NamedTuple):
             {name: tuple(own) for name, own in phases.items()},
             picked,
             dropped,
-            {fruit: str(error) for fruit, error in self.unreached.items()},
+            tuple(map(Unreached, self.unreached, self.unreached.values())),
         )

@@ -29,6 +29,7 @@ from hplan.base.checked import Options
 from hplan.base.tasks import Pool, outcomes, pool_of
 from hplan.collision.reach import workspace_ball
 from hplan.errors import HplanError, InputError, MovingObstacleError, OptionError, TourError
+from hplan.planning.failures import REASON_WORDS, REASONS, Reason, tally_reasons
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task
 from hplan.planning.reachable import FruitReach, reachable
@@ -37,7 +38,7 @@ from hplan.planning.world import without_inside
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacles import Capsule
-from hplan.tour.tour import TourOptions, TourResult, plan_tour
+from hplan.tour.tour import TourOptions, TourResult, Unreached, plan_tour
 
 
 def within_reach(robot: Robot, scene: Scene) -> Scene:
@@ -58,8 +59,8 @@ def within_reach(robot: Robot, scene: Scene) -> Scene:
     return near
 
 
-def pickable(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> dict[str, FruitReach]:
-    """The fruits that can be picked, in a feasible order (`hplan.reachable`).
+def reach_in_turn(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> dict[str, FruitReach]:
+    """Whether each fruit can be picked; pickable ones first, in a feasible order.
 
     Fruits blocked by others are checked again once those are picked.
 
@@ -73,12 +74,37 @@ def pickable(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> 
     """
     found: dict[str, FruitReach] = {}
     while scene.fruits:
-        now = {name: one for name, one in reachable(robot, scene, options).items() if one.can_be_picked}
-        if not now:
-            break
-        found |= now
-        scene = scene.copy_unchecked({"fruits": tuple(fruit for fruit in scene.fruits if fruit.name not in now)})
+        now = reachable(robot, scene, options)
+        picked = {name: one for name, one in now.items() if one.can_be_picked}
+        if not picked:
+            return found | dict(now)
+        found |= picked
+        scene = scene.copy_unchecked({"fruits": tuple(fruit for fruit in scene.fruits if fruit.name not in picked)})
     return found
+
+
+@dataclass(frozen=True)
+class Unpicked:
+    """A fruit that is not picked.
+
+    Attributes:
+        reason: Why not, as in `FruitReach.reason`; from several stops, that of the nearest attempt, in the order
+            `out_of_reach`, `blocked`, `no_approach`, `no_motion`. None for a fruit that was left out although it can be
+            picked.
+        obstacle: The obstacle that prevents it at most of those stops; None if unknown.
+    """
+
+    reason: Reason | None
+    obstacle: str | None = None
+
+    @classmethod
+    def of_attempts(cls, attempts: Sequence[Unpicked]) -> Unpicked:
+        """Summarize attempts from several stops; without any, the fruit is out of reach."""
+        rank = {reason: number for number, reason in enumerate(REASONS)}
+        reasons = (one.reason for one in attempts if one.reason is not None)
+        reason = max(reasons, key=rank.__getitem__, default=REASONS[0])
+        named = Counter(one.obstacle for one in attempts if one.reason == reason and one.obstacle is not None)
+        return cls(reason, next((name for name, _ in named.most_common(1)), None))
 
 
 def cover(
@@ -273,6 +299,7 @@ class RowResult(Record):
             collision with the waiting arm, are left out.
         picked: Names of the picked fruits, in order.
         reachable: Names of the fruits that can be picked from any candidate, in the order of the scene.
+        unpicked: Reason for each fruit that is not picked, by name, in the order of the scene.
         report: Contents of `row.json`.
         robot: The arm.
         scene: The given scene.
@@ -283,6 +310,7 @@ class RowResult(Record):
     candidates: Mapping[BaseStop, tuple[str, ...]]
     picked: tuple[str, ...]
     reachable: tuple[str, ...]
+    unpicked: Mapping[str, Unpicked]
     report: dict[str, Any]
     robot: Robot
     scene: Scene
@@ -330,7 +358,8 @@ def plan_row(
     _check(scene, options, row)
     begin = time.process_time()
     places = _candidates(robot, scene, row)
-    costs = _costs(robot, scene, options, row, places, pool, progress)
+    seen = _look_from_stops(robot, scene, options, row, places, pool, progress)
+    costs = {p: {f: c for f, c in held.items() if not isinstance(c, Unpicked)} for p, held in seen.items()}
     looked_s = time.process_time() - begin
     names = {name for held in costs.values() for name in held}
     reachable = tuple(fruit.name for fruit in scene.fruits if fruit.name in names)
@@ -338,6 +367,10 @@ def plan_row(
     stops = list[RowStop]()
     gone: dict[str, None] = {}  # in picking order
     failed: dict[BaseStop, set[str]] = {place: set() for place in costs}
+    attempts = {fruit.name: list[Unpicked]() for fruit in scene.fruits}
+    for held in seen.values():
+        for name, one in held.items():
+            attempts[name] += [one] if isinstance(one, Unpicked) else []
     for way in range(1, _PASSES + 1):
         left = {p: {f: c for f, c in held.items() if f not in gone and f not in failed[p]} for p, held in costs.items()}
         progress(f"pass {way}: choosing stops")
@@ -350,21 +383,35 @@ def plan_row(
             wanted = [*assigned[place], *(name for name in due if name in left[place])]
             progress(f"pass {way}, stop {len(stops) + 1}: a tour over {len(wanted)} fruits")
             found = _tour_at(place, (robot, scene, options, row, tour), gone, wanted)
-            picked = () if found is None else found.order
-            if found is not None:
+            picked = () if isinstance(found, TourError) else found.order
+            if not isinstance(found, TourError):
                 stops.append(RowStop(place, way, 0.0, found))
+            for each in _unreached(found):
+                attempts[each.fruit].append(Unpicked(each.reason, each.obstacle))
             gone |= dict.fromkeys(picked)
             failed[place] |= set(wanted) - set(picked)
             due = [name for name in dict.fromkeys([*due, *wanted]) if name not in gone]
     if not stops:
-        why = HplanError(f"it cannot be picked from any of {len(places)} stops")
-        raise TourError([(fruit.name, why) for fruit in scene.fruits])
+        raise TourError([(name, _why_never(tried, len(places))) for name, tried in attempts.items()])
     driven, driving_s = _add_driving(scene, row, stops)
     spent = {"candidates_cpu_s": looked_s, "tours_cpu_s": time.process_time() - begin - looked_s}
+    unpicked = {
+        fruit.name: Unpicked.of_attempts(attempts[fruit.name])
+        if fruit.name not in names or any(fruit.name in tried for tried in failed.values())
+        else Unpicked(None)
+        for fruit in scene.fruits
+        if fruit.name not in gone
+    }
     report = _report(robot, scene, row, driven, driving_s, tuple(gone), reachable)
+    reasons, obstacles = tally_reasons((one.reason, one.obstacle) for one in unpicked.values() if one.reason)
+    report |= {
+        "not_picked": reasons | {"left_out": len(unpicked) - sum(reasons.values())},
+        "obstacles": obstacles,
+        "unpicked": {name: asdict(one) for name, one in unpicked.items()},
+    }
     report["planner"] = {"candidates": len(places), "usable": len(costs), **first, **spent}
     candidates = {place: tuple(held) for place, held in costs.items()}
-    return RowResult(tuple(driven), candidates, tuple(gone), reachable, report, robot, scene, row)
+    return RowResult(tuple(driven), candidates, tuple(gone), reachable, unpicked, report, robot, scene, row)
 
 
 def _check(scene: Scene, options: PlanOptions, row: RowOptions) -> None:
@@ -391,7 +438,7 @@ def _candidates(robot: Robot, scene: Scene, row: RowOptions) -> list[BaseStop]:
     return list(itertools.starmap(BaseStop, itertools.product(sides, grid, row.heights)))
 
 
-def _costs(
+def _look_from_stops(
     robot: Robot,
     scene: Scene,
     options: PlanOptions,
@@ -399,13 +446,13 @@ def _costs(
     places: Sequence[BaseStop],
     pool: tuple[Pool, int],
     progress: Progress,
-) -> dict[BaseStop, dict[str, float]]:
-    """Pickable fruits of each valid stop, with lower bounds [s].
+) -> dict[BaseStop, dict[str, float | Unpicked]]:
+    """Fruits near each valid stop: lower bounds [s], or why they cannot be picked.
 
     The bounds are on the durations of the motions to the fruits.
     """
     lots = [places[i : i + _LOT] for i in range(0, len(places), _LOT)]
-    found: dict[BaseStop, dict[str, float] | None] = {}
+    found: dict[BaseStop, dict[str, float | Unpicked] | None] = {}
     for _, lot in outcomes(partial(_seen_from_stop, robot, scene, options, row), lots, *pool):
         found |= lot
         progress(f"stops: {len(found)} of {len(places)} evaluated")
@@ -414,17 +461,35 @@ def _costs(
 
 def _seen_from_stop(
     robot: Robot, scene: Scene, options: PlanOptions, row: RowOptions, places: Sequence[BaseStop]
-) -> dict[BaseStop, dict[str, float] | None]:
-    found: dict[BaseStop, dict[str, float] | None] = {}
+) -> dict[BaseStop, dict[str, float | Unpicked] | None]:
+    found: dict[BaseStop, dict[str, float | Unpicked] | None] = {}
     for place in places:
         try:
             near = within_reach(robot, place.see_scene(scene, row))
-            held = pickable(robot, near, options)
+            held = reach_in_turn(robot, near, options)
         except InputError:  # a rigid obstacle is inside the base, or the waiting arm is in collision
             found[place] = None
         else:
-            found[place] = {name: 0.0 if one.grasp is None else one.grasp.least_duration for name, one in held.items()}
+            found[place] = {
+                name: Unpicked(one.reason, one.obstacle)
+                if one.reason is not None
+                else 0.0 if one.grasp is None else one.grasp.least_duration
+                for name, one in held.items()
+            }  # fmt: skip
     return found
+
+
+def _unreached(tour: TourResult | TourError) -> Sequence[Unreached]:
+    """Fruits that a tour does not pick."""
+    return [Unreached(*pair) for pair in tour.reasons] if isinstance(tour, TourError) else tour.unreached
+
+
+def _why_never(attempts: Sequence[Unpicked], stops: int) -> HplanError:
+    """Error of a fruit that is picked from none of some stops."""
+    why = Unpicked.of_attempts(attempts)
+    words = REASON_WORDS[why.reason or REASONS[0]] + (f", most often by {why.obstacle!r}" if why.obstacle else "")
+    facts = {"reason": why.reason, "obstacle": why.obstacle}
+    return HplanError(f"it cannot be picked from any of {stops} stops: {words}", **facts)
 
 
 def _tour_at(
@@ -432,8 +497,8 @@ def _tour_at(
     given: tuple[Robot, Scene, PlanOptions, RowOptions, TourOptions],
     gone: Collection[str],
     wanted: Sequence[str],
-) -> TourResult | None:
-    """Plan the tour at a stop; None if no fruit is picked.
+) -> TourResult | TourError:
+    """Plan the tour at a stop; return the error if no fruit is picked.
 
     Args:
         place: The stop.
@@ -446,8 +511,8 @@ def _tour_at(
     hanging = tuple(fruit for fruit in near.fruits if fruit.name not in gone)
     try:
         return plan_tour(robot, near.copy_unchecked({"fruits": hanging}), options, fruits=wanted, tour=tour)
-    except TourError:
-        return None
+    except TourError as error:
+        return error.with_traceback(None)
 
 
 def _add_driving(scene: Scene, row: RowOptions, stops: Sequence[RowStop]) -> tuple[list[RowStop], float]:

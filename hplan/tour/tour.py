@@ -27,7 +27,7 @@ from hplan.base.lazy_import import InNotebook
 from hplan.certificate.certificate import Certificate, all_of
 from hplan.certificate.digests import Digests
 from hplan.errors import CertificationError, HplanError, OptionError, SceneError, TourError, UnreachableError
-from hplan.planning.failures import NO_MOTION
+from hplan.planning.failures import NO_MOTION, Reason, obstacle_of, reason_of
 from hplan.planning.grasps import Grasp
 from hplan.planning.motion import Motion, Transit, certificate_of, in_sequence, require_certificate, seconds
 from hplan.planning.options import PlanOptions
@@ -79,6 +79,20 @@ class Unreached:
 
     fruit: str
     error: HplanError
+
+    @property
+    def reason(self) -> Reason:
+        """Why it is not picked, as in `FruitReach.reason`."""
+        return reason_of(self.error)
+
+    @property
+    def obstacle(self) -> str | None:
+        """The obstacle that most often prevents its motions; None if unknown."""
+        return obstacle_of(self.error)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the entry of `tour.json`."""
+        return {"fruit": self.fruit, "reason": self.reason, "obstacle": self.obstacle, "error": self.error.as_dict()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -409,7 +423,7 @@ class TourPlanner:
                 }
                 for leg in legs
             ],
-            "unreached": [{"fruit": item.fruit, "error": item.error.as_dict()} for item in unreached],
+            "unreached": [item.as_dict() for item in unreached],
             **({"expected_fruit": sum(caught)} if caught else {}),
             # For the fruits reachable among all the others; durations of the planned motions.
             "totals_s": {"fruits": len(stages[0].motions.fruits), **stages[0].totals},

@@ -12,11 +12,15 @@ from hplan.errors import (
     BlockedError,
     CertificationError,
     HplanError,
+    NoPathError,
+    NotFoundError,
     NotInTimeError,
     PlanCancelledError,
+    TimingError,
     UnreachableError,
 )
 from hplan.planning.approach import Approach
+from hplan.planning.failures import FailuresError, mark_approach, obstacle_of, reason_of
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot, load_robot
@@ -60,15 +64,15 @@ def test_reachable_agrees_with_plan(arm: Robot) -> None:
                 assert found.certificate.verified
             except HplanError as error:
                 failure = error
-                known = {UnreachableError: "out_of_reach", BlockedError: "blocked"}
-                reason = known.get(type(error), "no_motion")
+                reason = reason_of(error)
             assert asked[name].reason == reason
             assert one.reason == (None if reason == "no_motion" else reason)
             assert one.can_be_picked is (one.reason is None)
             if isinstance(failure, BlockedError):
                 assert one.best_clearance_m == failure.best_clearance_m
                 assert one.contact is not None
-                assert one.contact.obstacle in one.detail
+                assert one.obstacle == one.contact.obstacle
+                assert one.obstacle in one.detail
             seen.append(reason)
     assert set(seen) == {None, "out_of_reach", "blocked"}
 
@@ -130,6 +134,28 @@ def test_without_a_certified_approach(arm: Robot, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(Approach, "from_rest", property(none))
     found = hplan.reachable(arm, task(TUCKED, Goal(fruit="apple"), fruits=(fruit("apple", 10.0, 1.5, 1.4),)))
     assert (found["apple"].reason, found["apple"].detail) == ("no_approach", "not shown clear")
+
+
+def _uncertified(obstacle: str | None = None) -> HplanError:
+    return CertificationError(f"not certified near {obstacle}", obstacle=obstacle)
+
+
+@pytest.mark.parametrize(
+    ("error", "reason", "obstacle"),
+    [
+        (UnreachableError((3.0, 0.0, 1.0), "too_far", "too short"), "out_of_reach", None),
+        (BlockedError("fruit 'a'", 3, [{"obstacle": "wire", "link": "hand", "configurations": 3}]), "blocked", "wire"),
+        (NoPathError("none", reached_cells=1, blockers=[{"obstacle": "post"}]), "no_motion", "post"),
+        (NotFoundError(["trees"]), "no_motion", None),
+        (mark_approach(_uncertified("twig")), "no_approach", "twig"),
+        (FailuresError((mark_approach(_uncertified("twig")), mark_approach(TimingError("slow")))).as_one(),
+         "no_approach", "twig"),
+        (FailuresError((mark_approach(_uncertified("twig")), _uncertified("post"), _uncertified("post"))).as_one(),
+         "no_motion", "post"),
+    ],
+)  # fmt: skip
+def test_reason_and_obstacle_of_errors(error: HplanError, reason: str, obstacle: str | None) -> None:
+    assert (reason_of(error), obstacle_of(error)) == (reason, obstacle)
 
 
 def test_deadline_and_a_cancelled_question(arm: Robot) -> None:

@@ -49,6 +49,7 @@ def invented(design: Design) -> StudyRow:
     return StudyRow(
         design.digest, design.arm, design.tree, design.distance, design.height, design.turn_deg, design.yields.wood,
         design.yields.below, design.yields.fruit, design.measure, 2.5, 4, len(design.arm) % 4, 1, None, None, 0.1,
+        blocked=1, obstacles={"wire": 1, "post 2": 3},
     )  # fmt: skip
 
 
@@ -102,6 +103,8 @@ def test_row_of_a_real_tree_is_the_same_on_other_workers(file: Path) -> None:
     here = run_study(study, workers=1)
     assert as_made_by_anyone(run_study(study, workers=2)) == as_made_by_anyone(here)
     assert [(row.fruits, row.error) for row in here.rows] == [(4, "")] * 2
+    assert all(row.picked + row.blocked + row.no_approach + row.no_motion + 1 == 4 for row in here.rows)
+    assert here.not_picked["out_of_reach"] == 2
     assert all(1 <= row.picked <= 3 for row in here.rows)  # the fourth hangs 9 m high
 
 
@@ -150,6 +153,20 @@ def test_row_has_stops_and_the_time_of_driving(file: Path) -> None:
     assert row.motion_s is not None
     assert row.total_s is not None
     assert row.total_s > row.motion_s + row.picked
+
+
+def test_study_says_why_fruit_is_not_picked(file: Path) -> None:
+    design = load_study(file).designs()[0]
+    rows = [measure(replace(design, measure=kind, distance=0.9, yields=Yields())) for kind in ("reach", "tour", "row")]
+    for row in rows:
+        assert row.picked + row.out_of_reach + row.blocked + row.no_approach + row.no_motion == row.fruits
+        assert row.out_of_reach >= 1
+        assert sum(row.obstacles.values()) >= row.blocked
+    result = StudyResult("two", (invented(design), invented(design)), 2, 0.0)
+    assert (result.not_picked["blocked"], result.obstacles) == (2, {"post 2": 6, "wire": 2})
+    assert list(result.obstacles) == ["post 2", "wire"]
+    (choice,) = result.choices
+    assert (choice.not_picked["blocked"], choice.obstacles) == (0.25, result.obstacles)
 
 
 def test_front_contains_undominated_designs(file: Path) -> None:

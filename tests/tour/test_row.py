@@ -20,7 +20,7 @@ from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box
 from hplan.scene.orchard import MeasuredOptions, measured_orchard
-from hplan.tour.row import BaseStop, RowOptions, RowResult, cover, pickable, plan_row, within_reach
+from hplan.tour.row import BaseStop, RowOptions, RowResult, cover, plan_row, reach_in_turn, within_reach
 
 QUICK = hplan.PlanOptions(effort="quick")
 COARSE = RowOptions(distance=1.2, step=0.8)
@@ -116,7 +116,7 @@ def test_fruit_behind_others_can_be_picked_once_they_are(arm: Robot, scene: Scen
         for i, way in enumerate(itertools.product((-1, 0, 1), repeat=3)) if any(way)
     ]  # fmt: skip
     dense = near.model_copy(update={"fruits": (fruit, *shell), "obstacles": ()})
-    order = list(pickable(arm, dense))
+    order = [name for name, one in reach_in_turn(arm, dense).items() if one.can_be_picked]
     assert not hplan.reachable(arm, dense)[fruit.name].can_be_picked
     assert fruit.name in order[1:]
 
@@ -162,10 +162,21 @@ def test_report_adds_up(row: RowResult) -> None:
     assert sum(one["picked"] for one in report["trees"].values()) == len(row.picked)
 
 
+def test_every_fruit_is_picked_or_has_a_reason(row: RowResult) -> None:
+    assert {*row.picked, *row.unpicked} == {fruit.name for fruit in row.scene.fruits}
+    high = {fruit.name for fruit in row.scene.fruits if fruit.center[2] > 5.0}
+    assert high
+    assert {name for name, one in row.unpicked.items() if one.reason == "out_of_reach"} == high
+    assert sum(row.report["not_picked"].values()) == len(row.unpicked)
+    for one in row.unpicked.values():
+        assert (one.reason == "blocked") <= (one.obstacle in row.report["obstacles"])
+
+
 def test_of_a_share_no_pass_takes_more_than_it_needs(arm: Robot, scene: Scene, row: RowResult) -> None:
     need = math.ceil(0.5 * len(row.reachable))
     some = plan_row(arm, scene, QUICK, row=replace(COARSE, both=False, share=0.5))
     assert need <= len(some.picked) < len(row.picked)
+    assert some.report["not_picked"]["left_out"] == len(some.reachable) - len(some.picked) > 0
 
 
 def test_stops_with_base_in_contact_are_excluded(arm: Robot, scene: Scene) -> None:
@@ -177,7 +188,7 @@ def test_stops_with_base_in_contact_are_excluded(arm: Robot, scene: Scene) -> No
 
 
 def test_nothing_in_reach(arm: Robot, scene: Scene) -> None:
-    with pytest.raises(TourError, match="from any of"):
+    with pytest.raises(TourError, match="from any of 10 stops: out of reach"):
         plan_row(arm, scene, QUICK, row=replace(COARSE, heights=(4.5,), step=1.6))
 
 

@@ -32,6 +32,7 @@ from hplan.apps.cli.terminal import (
     progress_line,
     show,
     uncovered_rows,
+    unpicked_table,
 )
 from hplan.base.units import at_least_mm
 
@@ -114,7 +115,8 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
                 write_report(report | result.report | {"time_ms": milliseconds}, staging / name)
     if not arguments.quiet:
         facts = facts_table(_cell_facts(result, milliseconds, f"{folder.path}: {', '.join(files)}"))
-        show(console, cell.scene.name, ", ".join(arm.name for arm in cell.arms), facts)
+        unpicked = unpicked_table(result.unreached) if isinstance(result, CellTour) else []
+        show(console, cell.scene.name, ", ".join(arm.name for arm in cell.arms), *unpicked, facts)
     return 0
 
 
@@ -188,8 +190,6 @@ def _cell_facts(result: CellResult | CellTour, milliseconds: float, files: str) 
         picked = f"[bold]{report['picked']}[/] in [bold]{report['makespan_s']:.2f} s[/]"
         yield "picked", f"{picked}, {report['s_per_fruit']:.2f} s each, {faster:.2f} times as fast as one arm"
         yield "idle", ", ".join(f"{escape(name)} {seconds:.2f} s" for name, seconds in report["idle_s"].items())
-        for fruit, reason in result.unreached.items():
-            yield "not picked", escape(f"{fruit}: {reason}")
     distances = {"between arms": report["between_arms_mm"], **report.get("arms_mm", {})}
     shown = (
         f"{escape(name)} {'no obstacles near' if d is None else f'{at_least_mm(1e-3 * d)} mm'}"

@@ -21,6 +21,7 @@ from hplan.apps.cli.terminal import (
     percent,
     progress_line,
     show,
+    unpicked_facts,
 )
 from hplan.base.units import at_least_mm
 
@@ -179,6 +180,7 @@ def _show_row(console: Console, result: RowResult, files: str) -> None:
     headings = "", "side", "along", "height", "fruits", "arrival", "motion", "per fruit", "clearance"
     of = f"{report['picked']} of {report['fruits']}; {report['reachable']} can be picked from some stop"
     facts = [("picked", f"[bold]{percent(report['share_picked'])} %[/]: {of}")]
+    facts += unpicked_facts(report["not_picked"], report["obstacles"])
     if len(report["trees"]) > 1:
         told = ", ".join(f"{name} {one['picked']} of {one['fruits']}" for name, one in report["trees"].items())
         facts.append(("trees", escape(told)))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from hplan.apps.cli.job_folder import prepare_folder, write_figure
 from hplan.apps.cli.options import OUT, add_shared, command_parser
 from hplan.apps.cli.own_files import STUDY_REPORT, WRITTEN, check_own, digests_of
-from hplan.apps.cli.terminal import escape, number_table, percent, progress_line
+from hplan.apps.cli.terminal import escape, facts_table, number_table, percent, progress_line, unpicked_facts
 from hplan.base.arguments import instance
 from hplan.base.interrupts import INTERRUPTS, defer_signals, signal_of
 from hplan.base.lazy_import import extra
@@ -129,6 +129,8 @@ def _executor(address: str | None) -> Pool | None:
 
 def _show_study(console: Console, result: StudyResult, files: str) -> None:
     """Print one line for each choice; a star marks the Pareto front."""
+    from hplan.planning.failures import REASON_WORDS
+
     console.print(f"\n[bold]{escape(result.name)}[/], {len(result.rows)} designs\n")
     cells: dict[str, Callable[[Choice], str]] = {
         "arm": lambda one: f"{'[bold green]*[/]' if one.is_best else ' '} {escape(one.arm)}",
@@ -137,6 +139,11 @@ def _show_study(console: Console, result: StudyResult, files: str) -> None:
         "yields": lambda one: f"{1e3 * one.wood_yields_m:g}/{1e3 * one.fruit_yields_m:g} mm",
         "reach": lambda one: f"{one.reach_m:.2f} m",
         "picked": lambda one: f"{percent(one.share)} %",
+        **{
+            words: lambda one, reason=reason: f"{percent(one.not_picked[reason])} %"  # type: ignore[misc]
+            for reason, words in REASON_WORDS.items()
+        },
+        "most often by": lambda one: escape(next(iter(one.obstacles), "")),
         "per fruit": lambda one: "" if one.seconds_per_fruit is None else f"{one.seconds_per_fruit:.2f} s",
         "CPU": lambda one: f"{one.cpu_s:.2f} s",
     }
@@ -144,6 +151,9 @@ def _show_study(console: Console, result: StudyResult, files: str) -> None:
     lines = {heading: [cell(one) for one in ranked] for heading, cell in cells.items()}
     shown = [heading for heading in lines if heading in ("arm", "picked", "CPU") or len(set(lines[heading])) > 1]
     console.print(number_table(shown, zip(*map(lines.__getitem__, shown), strict=True), texts=("arm",)))
+    if any(result.not_picked.values()):
+        console.print()
+        console.print(facts_table(unpicked_facts(result.not_picked, result.obstacles), 0))
     failed = [row for row in result.rows if row.error]
     for row in failed[:5]:
         where = f"{row.arm}, {row.tree} at {row.distance_m:g} m"

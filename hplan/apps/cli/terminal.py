@@ -13,7 +13,8 @@ import signal
 import sys
 import time
 import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +28,8 @@ from hplan.errors import HplanError
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
+
+    from hplan.tour.tour import Unreached
 
 #: Exit status of a failed check.
 FAILED = 5
@@ -249,6 +252,38 @@ def number_table(headings: Iterable[str], rows: Iterable[Iterable[str]], *, text
     for row in rows:
         table.add_row(*row)
     return table
+
+
+def unpicked_table(unreached: Sequence[Unreached]) -> list[Table]:
+    """Table of the fruits that are not picked; none without such fruits.
+
+    Without an obstacle, the first fruit of each reason has the message of its error.
+    """
+    from hplan.planning.failures import REASON_WORDS
+
+    lines, told = list[tuple[str, str, str]](), set[str]()
+    for item in unreached:
+        detail = item.obstacle or ("" if item.reason in told else item.error.message)
+        told |= set() if item.obstacle else {item.reason}
+        lines.append((escape(item.fruit), f"[yellow]{REASON_WORDS[item.reason]}[/]", escape(detail)))
+    headings = "not picked", "reason", "obstacle or detail"
+    return [number_table(headings, lines, texts=headings)] if lines else []
+
+
+def unpicked_facts(reasons: Mapping[str, int], obstacles: Mapping[str, int]) -> list[tuple[str, str]]:
+    """Summary rows: numbers of fruits by reason, and the most frequent obstacles.
+
+    Obstacles that differ only in their number, such as branches, are counted together.
+    """
+    from hplan.planning.failures import REASON_WORDS
+
+    told = ", ".join(f"{count} {REASON_WORDS.get(reason, 'left out')}" for reason, count in reasons.items() if count)
+    kinds = Counter[str]()
+    for name, count in obstacles.items():
+        kinds[name.rstrip(" 0123456789") or name] += count
+    most = ", ".join(f"{escape(kind)} ({count})" for kind, count in kinds.most_common(3))
+    most += "".join(f"; {escape(name)} alone {count}" for name, count in [*obstacles.items()][:1] if name not in kinds)
+    return [(name, text) for name, text in (("[yellow]not picked[/]", told), ("most often by", most)) if text]
 
 
 def show(console: Console, what: str, robot: str, *tables: Table) -> None:

@@ -22,6 +22,7 @@ from hplan.apps.cli.terminal import (
     progress_line,
     show,
     uncovered_rows,
+    unpicked_table,
 )
 from hplan.base.files import cut
 from hplan.base.units import at_least_mm
@@ -211,6 +212,7 @@ def _show(console: Console, result: TourResult, folder: Path, files: Sequence[st
         result.report["scene"],
         result.report["robot"],
         legs,
+        *unpicked_table(result.unreached),
         facts_table(_tour_facts(result, folder, files), 0),
     )
 
@@ -237,5 +239,3 @@ def _tour_facts(result: TourResult, folder: Path, files: Sequence[str]) -> Itera
     yield "time", f"{1e-3 * planner['time_ms']:.1f} s, {planner['motions_planned']} motions planned"
     shown = files if len(files) <= 4 else [files[0], "...", *files[-3:]]
     yield "files", f"{escape(folder)}: {escape(', '.join(shown))}"
-    for item in result.unreached:
-        yield "[yellow]not picked[/]", f"{escape(item.fruit)}: {escape(item.error.message)}"

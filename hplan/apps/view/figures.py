@@ -9,9 +9,10 @@ import functools
 import io
 import itertools
 import textwrap
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from hplan.base.arrays import FloatArray
 from hplan.base.files import write_bytes
 from hplan.base.lazy_import import extra
 from hplan.base.units import joint_unit
+from hplan.planning.failures import REASON_WORDS, REASONS, Reason
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Capsule
 from hplan.trajectory.trajectory import Trajectory, check_trajectory_joints
@@ -26,7 +28,7 @@ from hplan.trajectory.trajectory import Trajectory, check_trajectory_joints
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from hplan.study.run import StudyResult
+    from hplan.study.run import Choice, StudyResult
     from hplan.tour.row import BaseStop, RowResult
 
 _P = ParamSpec("_P")
@@ -152,6 +154,15 @@ def write_png(figure: Figure, path: Path) -> Path:
     return write_bytes(path, png_bytes(figure))
 
 
+#: Marker and colour of fruits that are not picked, by reason; None for fruits that were left out.
+UNPICKED: Final[dict[Reason | None, tuple[str, str]]] = {
+    "out_of_reach": ("o", QUIET),
+    "blocked": ("X", OBSTACLE),
+    "no_approach": ("^", GOAL),
+    "no_motion": ("s", INK),
+    None: ("o", OBSTACLE_TINT),
+}
+
 #: Colours of neighbouring stops and their fruits, used in turn.
 _STOPS = (PATH, START, RESTORED, LINKS[1])
 
@@ -187,11 +198,12 @@ def draw_row(result: RowResult) -> Figure:
     front.set_xlabel("y: along the row [m]")
     above.set_title("from above; numbers are stops, dots the fruits that can be picked from each candidate")
     front.set_title("from the front")
-    handles = [
-        Line2D([], [], marker="o", ls="none", color=PATH, label="picked (a colour for each stop)"),
-        Line2D([], [], marker="o", ls="none", color=OBSTACLE, label="reachable, not picked"),
-        Line2D([], [], marker="o", ls="none", mfc="none", color=QUIET, label="unreachable or blocked"),
-    ]
+    handles = [Line2D([], [], marker="o", ls="none", color=PATH, label="picked (a colour for each stop)")]
+    count = Counter(one.reason for one in result.unpicked.values())
+    for reason, (marker, color) in UNPICKED.items():
+        if count[reason]:
+            words = "left out" if reason is None else REASON_WORDS[reason]
+            handles.append(Line2D([], [], marker=marker, ls="none", color=color, label=f"{words} ({count[reason]})"))
     figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure
 
@@ -213,11 +225,11 @@ def _draw(
     axes.add_collection(LineCollection(lines, colors="#C8B49E", linewidths=widths, capstyle="round", zorder=1))
     stop_of = {name: number for number, stop in enumerate(result.stops) for name in stop.tour.order}
     for fruit in result.scene.fruits:
-        number = stop_of.get(fruit.name)
-        is_left = number is None and fruit.name in result.reachable
-        color = OBSTACLE if is_left else QUIET if number is None else _STOPS[number % len(_STOPS)]
-        face = "none" if number is None and not is_left else color
-        axes.plot(fruit.center[1], fruit.center[axis], "o", ms=4.5, mec=color, mfc=face, zorder=3)
+        if fruit.name in stop_of:
+            marker, color = "o", _STOPS[stop_of[fruit.name] % len(_STOPS)]
+        else:
+            marker, color = UNPICKED[result.unpicked[fruit.name].reason]
+        axes.plot(fruit.center[1], fruit.center[axis], marker, ms=4.5, color=color, zorder=3)
     if axis == 0:
         _draw_stops(axes, result)
     axes.set_ylabel(label)
@@ -252,9 +264,10 @@ _NAMED, _WIDTH = 9, 84
 
 @apply_style
 def draw_study(result: StudyResult) -> Figure:
-    """Draw the choices of a study and its Pareto front.
+    """Draw the choices of a study, its Pareto front, and why fruit is not picked.
 
-    The cost is the time for each fruit [s] if it was measured, else the arm's reach [m].
+    The cost is the time for each fruit [s] if it was measured, else the arm's reach [m]. The bars below are the
+    fractions of the fruit by reason, for the first choices of the front and the best of the others.
 
     Raises:
         InputError: Matplotlib is not installed.
@@ -265,10 +278,14 @@ def draw_study(result: StudyResult) -> Figure:
     for number, one in enumerate(best[:_NAMED], start=1):
         height = f", {one.height_m:g} m high" if one.height_m else ""
         words += textwrap.wrap(f"{number}  {one.arm}, {one.distance_m:g} m{height}", _WIDTH, subsequent_indent="     ")
-    figure = new_figure(6.4, 4.2 + 0.17 * len(words), result.name)
-    axes = figure.add_subplot()
-    others = [choice for choice in shown if not choice.is_best]
-    axes.plot([one.cost for one in others], [100.0 * one.share for one in others], "o", ms=4, color=QUIET, alpha=0.6)
+    others = sorted((one for one in result.choices if not one.is_best), key=lambda one: (-one.share, one.cost))
+    barred = [*best[:_NAMED], *others][:_NAMED]
+    heights = 3.6 + 0.17 * len(words), 0.5 + 0.22 * len(barred)
+    figure = new_figure(6.4, sum(heights) + 0.6, result.name)
+    axes, why = figure.subplots(2, 1, height_ratios=heights)
+    _draw_reasons(why, barred, [*best])
+    rest = [choice for choice in shown if not choice.is_best]
+    axes.plot([one.cost for one in rest], [100.0 * one.share for one in rest], "o", ms=4, color=QUIET, alpha=0.6)
     axes.plot(
         [one.cost for one in best], [100.0 * one.share for one in best], "o-", drawstyle="steps-post", ms=6, color=PATH
     )
@@ -284,6 +301,33 @@ def draw_study(result: StudyResult) -> Figure:
     axes.grid(color=FAINT, lw=0.6)
     axes.set_axisbelow(True)
     return figure
+
+
+def _draw_reasons(axes: Any, choices: Sequence[Choice], best: Sequence[Choice]) -> None:
+    """Draw a stacked bar for each choice: picked, and not picked by reason."""
+    parts: dict[str, tuple[str, list[float]]] = {"picked": (PATH, [one.share for one in choices])}
+    for reason in REASONS:
+        parts[REASON_WORDS[reason]] = UNPICKED[reason][1], [one.not_picked.get(reason, 0.0) for one in choices]
+    left, places = np.zeros(len(choices)), -np.arange(len(choices))
+    for words, (color, shares) in parts.items():
+        if any(shares):
+            axes.barh(places, 100.0 * np.array(shares), left=left, color=color, height=0.7, label=words)
+            left += 100.0 * np.array(shares)
+    numbers = [f"{best.index(one) + 1}  " if one in best else "" for one in choices]
+    names = [f"{number}{one.arm[:32]}, {one.distance_m:g} m" for number, one in zip(numbers, choices, strict=True)]
+    axes.set_yticks(places, names)
+    for place, one in zip(places, choices, strict=True):
+        for name, count in [*one.obstacles.items()][:1]:
+            axes.annotate(
+                f"most often {name} ({count})",
+                (100.0, place),
+                (4, 0),
+                textcoords="offset points",
+                va="center",
+                fontsize=7,
+            )
+    axes.set(xlim=(0.0, 100.0), xlabel="fraction of the fruits [%]")
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5)
 
 
 _LINE_COLORS = (PATH, OBSTACLE, START, GOAL, INK, RESTORED, QUIET)

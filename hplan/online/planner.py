@@ -18,12 +18,13 @@ from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar, get_args, overl
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.base.arguments import check_between, number, one_of, text
+from hplan.base.arguments import check_between, instance, number, one_of, text
 from hplan.base.arrays import FloatArray, numbers, readonly
 from hplan.base.checked import StrictModel
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.forking import renewed_in_children
 from hplan.certificate.certificate import with_violations
+from hplan.certificate.digests import Digests
 from hplan.certificate.retimed_certificate import CertifiedMotion
 from hplan.collision.far_obstacles import warn_of_far_obstacles
 from hplan.collision.obstacle_rows import solid_rows
@@ -54,6 +55,7 @@ from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacle_kind import FromData
 from hplan.scene.obstacles import KINDS, Obstacle, PointCloud
 from hplan.scene.tracks import Track
+from hplan.trajectory.trajectory import SAME_TIME, Phase
 
 
 class Planner:
@@ -245,6 +247,53 @@ class Planner:
         found = self._running_motion(scene, options, now, measured).stop_at(t)
         faults = [error.message for error in self._cloud_faults(scene, options, t if now is None else now)]
         return replace(found, certificate=with_violations(found.certificate, faults))
+
+    def use(self, motion: CertifiedMotion) -> PlanResult:
+        """Set the motion that the controller runs: the last one at other speeds, or with a stop.
+
+        For a speed override of 50 % from a time t of the motion on:
+        `planner.use(planner.last.scale_speed([(0, 1), (t, 1), (t, 0.5)]))`. The planner then assumes that the arm
+        follows it: `replan` and `stop_at` continue from it, and certify it anew among the current obstacles.
+
+        Args:
+            motion: Result of `scale_speed` or `stop_at` of the last plan, or of the planner's own `stop_at`.
+
+        Returns:
+            The last plan with this trajectory, its certificate and phases; read `certificate.verified`, since a slower
+            motion meets moving obstacles at other places.
+
+        Raises:
+            InputError: There is no last plan, or the motion is not on its path or has another start time.
+            OptionError: `motion` is not a `CertifiedMotion`.
+        """
+        instance("motion", motion, CertifiedMotion, "PlanResult.scale_speed or stop_at")
+        with self._changing:
+            last = self.last
+            if last is None:
+                raise InputError("there is no motion to change: plan one first")
+            if not motion.begins_s == last.begins_s and not math.isnan(motion.begins_s):
+                raise InputError(
+                    f"the motion begins at {motion.begins_s:.10g} s on the controller's clock, but the last plan at "
+                    f"{last.begins_s:.10g} s"
+                )
+            own, clock = last.trajectory, motion.clock
+            names = motion.trajectory.joint_names
+            if names != own.joint_names or not np.allclose(
+                own.positions(np.minimum(clock, own.duration)), motion.trajectory.position, rtol=0.0, atol=_ON_PATH
+            ):
+                raise InputError("the motion is not on the path of the last plan: take scale_speed or stop_at of it")
+            begun = [phase for phase in last.phases if phase.start_s <= clock[-1]]
+            phases = tuple(phase.retime(clock, motion.trajectory.time) for phase in begun)
+            changes: dict[str, Any] = {"trajectory": motion.trajectory, "certificate": motion.certificate}
+            changes |= {"phases": phases, "bound": None}
+            if clock[-1] < own.duration - SAME_TIME:
+                changes |= _stopped_changes(last, motion)
+            if isinstance(last, SplicedResult):
+                changes["seam_s"] = (
+                    Phase("seam", last.seam_s, last.seam_s).retime(clock, motion.trajectory.time).start_s
+                )
+            self.last = replace(last, **changes)
+            return self.last
 
     def set_start_time(self, at_s: float) -> PlanResult:
         """Set the actual start time of the last motion.
@@ -697,11 +746,26 @@ def _route(track: Track | None) -> tuple[Any, ...]:
 #: How unknown space counts.
 Unknown: TypeAlias = Literal["free", "solid"]
 
+#: Maximum difference of a retimed motion's joint values from the path of its original [rad; m for prismatic joints].
+_ON_PATH = 1e-3
+
 #: Differences of lengths up to this count as zero [m].
 _SAME_M = 1e-9
 
 _Model = TypeVar("_Model", bound=StrictModel)
 _Result = TypeVar("_Result", bound=PlanResult)
+
+
+def _stopped_changes(last: PlanResult, motion: CertifiedMotion) -> dict[str, Any]:
+    """Fields of a plan whose motion stops early: its task is to reach the stop."""
+    problem, end = last.motion.problem, tuple(motion.trajectory.position[-1].tolist())
+    scene = problem.scene.copy_unchecked({"goal": Goal(joints_rad=end)})
+    digests = Digests.compute(last.robot, scene, motion.trajectory)
+    return {
+        "grasp": None,
+        "motion": replace(last.motion, problem=replace(problem, scene=scene)),
+        "certificate": replace(motion.certificate, digests=digests),
+    }
 
 
 def _check_kind(item: object) -> None:

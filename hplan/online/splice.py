@@ -204,7 +204,9 @@ class RunningMotion:
         certificate = replace(certificate, digests=Digests.compute(self.plan.robot, self._scene, motion))
         parts_s = float(motion.time[retimed.row])
         robot, begins_s = self.plan.robot, self.plan.begins_s
-        return CertifiedMotion(motion, certificate, parts_s, retimed.off_path_m, robot, self._scene, begins_s)
+        return CertifiedMotion(
+            motion, certificate, parts_s, retimed.off_path_m, robot, self._scene, retimed.clock, begins_s
+        )
 
     def _may_stay(self) -> bool:
         """True if the motion solves the current task."""

@@ -27,7 +27,7 @@ from hplan.planning.start_in_motion import after_stop, stops
 from hplan.scene.model import Fruit, Scene, Start
 from hplan.scene.obstacle_kind import transform_fields
 from hplan.scene.obstacles import AnyObstacle, Sphere
-from hplan.trajectory.trajectory import Phase, Retimed, Trajectory, join_trajectories, scale_motion
+from hplan.trajectory.trajectory import Phase, Trajectory, join_trajectories, scale_motion
 
 
 def past_moving_obstacles(solve: Solver, stop: Trajectory | None = None) -> Solver:
@@ -201,7 +201,7 @@ class _TimedSearch:
             certificate = self._certify(still, retimed.trajectory)
             if certificate.verified:
                 report |= {"waits_s": schedule.waiting_s, "slows_down": schedule.slows_down}
-                phases = tuple(_retime_phase(phase, retimed) for phase in phases)
+                phases = tuple(phase.retime(retimed.clock, retimed.trajectory.time) for phase in phases)
                 return _run(still, self._scene, (phases, retimed.trajectory, certificate), report)
             self.tried.append(f"{path}: {certificate.violations[0]}")
         return None
@@ -216,17 +216,6 @@ def _run(
     """A plan with its motion and certificate among moving obstacles."""
     transit = replace(plan.transit, problem=replace(plan.transit.problem, scene=scene))
     return replace(plan, transit=transit, run=run, told={"in_time": {**told, "clear_until_s": run[2].clear_until_s}})
-
-
-def _retime_phase(phase: Phase, retimed: Retimed) -> Phase:
-    """A phase on the clock of the retimed motion.
-
-    It runs from the last sample at or before its start to the first sample at or after its end.
-    """
-    clock, time = retimed.clock, retimed.trajectory.time
-    begin = max(0, int(np.searchsorted(clock, phase.start_s + 1e-9, side="right")) - 1)
-    end = int(np.searchsorted(clock, phase.end_s - 1e-9, side="left")) if phase.end_s < clock[-1] - 1e-9 else -1
-    return Phase(phase.name, float(time[begin]) if phase.start_s > 0.0 else 0.0, float(time[end]))
 
 
 #: Maximum displacement between consecutive poses of one obstacle [m], and the maximum number of poses.

@@ -14,7 +14,7 @@ from planned import assert_within_limits, task
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.reach import is_moved
 from hplan.errors import ConfigurationInCollisionError, MovingObstacleError, ObstacleInTimeError
-from hplan.planning.in_time import _retime_phase, among_poses, without_moving
+from hplan.planning.in_time import among_poses, without_moving
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
@@ -324,7 +324,7 @@ def test_phases_by_another_clock_hold_all_that_they_held(robot):
         np.sort(random.choice(clock, 2)),
         clock[[0, -1]],
     ):
-        phase = _retime_phase(Phase("any", *ends.tolist()), retimed)
+        phase = Phase("any", *ends.tolist()).retime(retimed.clock, retimed.trajectory.time)
         first = max(row for row, when in enumerate(clock) if when <= ends[0] + 1e-9)
         last = min(row for row, when in enumerate(clock) if when >= ends[1] - 1e-9)
         assert phase.start_s == (time[first] if ends[0] > 0.0 else 0.0)

@@ -127,7 +127,7 @@ def certified_from(
     found = certify_among(
         robot,
         motion,
-        stretches(checker, retimed.clock[row:], contacts),
+        stretches(checker, retimed.clock[row:], contacts, retimed.trajectory.time[row:]),
         clearance=scene.clearance,
         tracking=tracking,
         rest_to_rest=False,

@@ -417,13 +417,17 @@ class Planner:
             self._cropped.pop(name, None)
 
     def move(self, name: str, **changes: Any) -> None:
-        """Change values of an obstacle, for example `move("post", center=(1, 0, 1))`.
+        """Change values of an obstacle or a fruit, for example `move("post", center=(1, 0, 1))`.
 
         Raises:
             InputError: There is no such obstacle; it has no such value, or the value is invalid; or it is a cloud that
                 `set_cloud` has cropped to the workspace at its observed pose.
         """
         with self._changing:
+            if any(fruit.name == name for fruit in self.scene.fruits):
+                fruits = (_with_changes(f, changes) if f.name == name else f for f in self.scene.fruits)
+                self.scene = self.scene.copy_unchecked({"fruits": tuple(fruits)})
+                return
             index, cropped = self._index(name), self._cropped.get(name)
             if cropped is not None and self.scene.obstacles[index] is cropped.cloud:
                 raise InputError(

@@ -251,6 +251,8 @@ class _DiskCache(NullCache):  # type: ignore[misc]
         found = None if key is None else self._load_from_disk(key, sig, target_context)
         if found is None and key is not None and self._may_keep(wait_for_turn, key):
             found = self._load_from_disk(key, sig, target_context)
+            if found is not None:  # else `save_overload` ends the turn
+                self._may_keep(end_turn, key)
         if found is None:
             function = self._compiled.py_func
             for told in LISTENERS:

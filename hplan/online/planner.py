@@ -23,13 +23,22 @@ from hplan.base.arrays import FloatArray, numbers, readonly
 from hplan.base.checked import StrictModel
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.forking import renewed_in_children
+from hplan.base.log import LOG
 from hplan.certificate.certificate import with_violations
 from hplan.certificate.digests import Digests
 from hplan.certificate.retimed_certificate import CertifiedMotion
 from hplan.collision.far_obstacles import warn_of_far_obstacles
 from hplan.collision.obstacle_rows import solid_rows
 from hplan.collision.reach import largest_sway
-from hplan.errors import HplanError, InputError, NotInTimeError, OptionError, PlanCancelledError
+from hplan.errors import (
+    FrameError,
+    HplanError,
+    InputError,
+    NotInTimeError,
+    OptionError,
+    PlanCancelledError,
+    RunningMotionBlockedError,
+)
 from hplan.online.arm_shape import arm_solids
 from hplan.online.body_distances import distances_from_bodies
 from hplan.online.frame import CloudOptions, Frame, FrameReport, SeenPoints, filter_frame, rigid
@@ -220,7 +229,17 @@ class Planner:
                 return self._from_rest(begins_s, None if self.last is None else self.last.motion)
             scene, options, known_s = self.scene, self.options, at if now is None else now
             self._check_clouds(scene, options, known_s)
-            spliced = self._running_motion(scene, options, now, measured).splice(at)
+            try:
+                spliced = self._running_motion(scene, options, now, measured).splice(at)
+            except RunningMotionBlockedError as error:
+                LOG.warning("at %.6g s: %s", known_s, error.message)
+                raise
+            end_s = spliced.begins_s + spliced.trajectory.duration
+            if spliced.is_kept:
+                LOG.info("at %.6g s: the motion is kept until %.6g s", known_s, end_s)
+            else:
+                seam_s = spliced.begins_s + spliced.seam_s
+                LOG.info("at %.6g s: a new motion takes over at %.6g s, until %.6g s", known_s, seam_s, end_s)
             self.last = self._with_ages(spliced, scene, known_s)
             return self.last
 
@@ -245,6 +264,7 @@ class Planner:
         """
         scene, options = self.scene, self.options
         found = self._running_motion(scene, options, now, measured).stop_at(t)
+        LOG.info("stop from %.6g s, at rest at %.6g s", t, found.begins_s + found.trajectory.duration)
         faults = [error.message for error in self._cloud_faults(scene, options, t if now is None else now)]
         return replace(found, certificate=with_violations(found.certificate, faults))
 
@@ -293,6 +313,7 @@ class Planner:
                     Phase("seam", last.seam_s, last.seam_s).retime(clock, motion.trajectory.time).start_s
                 )
             self.last = replace(last, **changes)
+            LOG.info("the controller runs the motion until %.6g s", last.begins_s + motion.trajectory.duration)
             return self.last
 
     def set_start_time(self, at_s: float) -> PlanResult:
@@ -521,7 +542,11 @@ class Planner:
                 before=self._seen.get(name),
                 scratch=self._scratch,
             )
-            accepted = check_content(name, found.report, options, time_s, before)
+            try:
+                accepted = check_content(name, found.report, options, time_s, before)
+            except FrameError as error:
+                LOG.warning("frame of %r refused: %s", name, error.message)
+                raise
             cloud = None
             if len(found.points):
                 cloud = PointCloud.from_thinned(name, found.points, found.report.radius_m, yields)

@@ -204,8 +204,8 @@ class Execution(Record):
 def execute(robot: Robot, scene: Scene, motion: Movement, plant: Plant | None = None) -> Execution:
     """Execute a motion on a simulated arm among a scene's obstacles.
 
-    The arm starts at the position and velocity of the motion's first sample. All links take part, also links that no
-    planar joint moves: a turret that strikes an obstacle is a contact.
+    The arm starts at the position and velocity of the motion's first sample. All links take part: a turret that strikes
+    an obstacle is a contact.
 
     Args:
         robot: The arm; MuJoCo reads its URDF.

@@ -18,9 +18,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.apps.cli.job_folder import prepare_folder
 from hplan.apps.cli.options import add_shared, command_parser, robot_of
 from hplan.apps.cli.terminal import FAILED, run_command
+from hplan.base.files import prepare_folder
 from hplan.errors import InputError, OptionError
 
 if TYPE_CHECKING:

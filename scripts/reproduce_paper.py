@@ -26,10 +26,9 @@ from typing import TYPE_CHECKING
 if __name__ == "__main__":  # runs from a checkout too
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from hplan.apps.cli.job_folder import prepare_folder
 from hplan.apps.cli.options import command_parser
 from hplan.apps.cli.terminal import progress_line, run_command
-from hplan.base.files import replace_file
+from hplan.base.files import prepare_folder, replace_file
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -220,3 +220,21 @@ def check_replaceable(target: Path, path: Path) -> None:
         raise OutputError(path, "it is a folder" if target.is_dir() else "it is not a regular file")
     if target.resolve() in inputs():
         raise OutputError(path, "it is an input and would be replaced; choose another file")
+
+
+def prepare_folder(folder: Path) -> None:
+    """Create a folder and check, before any work, that it is writable.
+
+    Raises:
+        OutputError: The path is a file, or the folder cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / f".hplan-{secrets.token_hex(8)}"
+        with defer_signals():
+            probe.touch()
+            probe.unlink()
+    except FileExistsError as error:
+        raise OutputError(folder, "it is a file, not a folder") from error
+    except OSError as error:
+        raise OutputError(folder, error.strerror or str(error)) from error

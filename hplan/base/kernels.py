@@ -42,6 +42,7 @@ from numba.misc.appdirs import AppDirs
 from hplan.base import forking  # noqa: F401  # a fork waits for what compiles
 from hplan.base.kernel_digest import UnknownDependencyError, code_digest, forget, kernels_below, value_digest
 from hplan.base.kernel_turns import LISTENERS, end_turn, wait_for_turn
+from hplan.base.log import LOG
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -251,8 +252,11 @@ class _DiskCache(NullCache):  # type: ignore[misc]
         found = None if key is None else self._load_from_disk(key, sig, target_context)
         if found is None and key is not None and self._may_keep(wait_for_turn, key):
             found = self._load_from_disk(key, sig, target_context)
+            if found is not None:  # else `save_overload` ends the turn
+                self._may_keep(end_turn, key)
         if found is None:
             function = self._compiled.py_func
+            LOG.info("compiling kernel %s.%s", function.__module__, function.__name__)
             for told in LISTENERS:
                 told(f"{function.__module__.removeprefix('hplan.')}.{function.__name__}", len(_ASKED))
         return found

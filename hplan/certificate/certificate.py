@@ -33,6 +33,7 @@ without collision shapes (`Certificate.uncovered_links`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -250,8 +251,7 @@ def certify(
     Raises:
         InputError: The trajectory's joints are not the robot's; the robot has prismatic joints and the trajectory does
             not state which joints are in metres; start or goal of the scene do not fit the robot.
-        MovingObstacleError: The goal fruit moves, or the base does while a fruit is the goal; or anything moves and
-            `risk` is given.
+        MovingObstacleError: Anything moves and `risk` is given.
         OptionError: `begin_s` is not finite; a tracking error or delay, or `sigmas`, is negative or not finite; `risk`
             is out of range or given with a `checker`; `goal_contact` or `interpolation` has an unknown value;
             `velocity_jumps` is set for a motion that is not linear between samples.
@@ -286,27 +286,27 @@ def certify(
         raise InputError(f"{missing}: give Trajectory(..., slides=robot.slides) if the prismatic ones are", joint=joint)
     allowed, violations, fruit = list[FruitContact](), list[str](), None
     if checker is None:
-        checker, fruit = checker_in_time(robot, scene, sigmas), scene.goal_fruit
-        if fruit is not None:
-            if fruit.track is not None or scene.base_track is not None:
-                raise MovingObstacleError(
-                    None if fruit.track is None else fruit.name, "the fruit to pick must not move"
-                )
-            allowed += goal_contacts(robot, trajectory, fruit, goal_contact)
+        checker, fruit, resting = checker_in_time(robot, scene, sigmas), scene.goal_fruit, scene.resting_goal_fruit
+        if fruit is not None and resting is not None:
+            at, rests_s = resting[0].center, resting[1] - begin_s
+            allowed += goal_contacts(robot, trajectory, fruit, goal_contact, at=at, rests_s=rests_s)
         for contact in list_of("contacts", contacts, FruitContact, "contact windows, as from Certificate.contacts"):
-            if contact.fruit in scene.fruits and not any(known.covers(contact) for known in allowed):
+            if contact.is_with(scene.fruits) and not any(known.covers(contact) for known in allowed):
                 allowed.append(contact)
         allowed.sort(key=lambda contact: contact.span_s)
         violations += base_violations(robot, scene, checker, trajectory, begin_s)
     instance("checker", checker, CoalScene, "CoalScene")
     if check_ends:
-        violations += [*task_violations(robot, scene, _pieces(trajectory)), *start_violations(robot, scene, trajectory)]
+        violations += [
+            *task_violations(robot, scene, _pieces(trajectory), begin_s + trajectory.time),
+            *start_violations(robot, scene, trajectory),
+        ]
     if rest_to_rest and scene.start.is_moving:
         violations += rest_violations(robot, trajectory, {"ends": -1}, velocity_jumps=velocity_jumps)
     certificate = certify_among(
         robot,
         trajectory,
-        stretches(checker, trajectory.time, allowed),
+        stretches(checker, trajectory.time, allowed, begin_s + trajectory.time),
         clearance=scene.clearance,
         tracking=tracking,
         rest_to_rest=rest_to_rest and not scene.start.is_moving,
@@ -331,16 +331,28 @@ def certify(
 
 
 def goal_contacts(
-    robot: Robot, trajectory: Trajectory, fruit: Fruit, goal_contact: GoalContact
+    robot: Robot,
+    trajectory: Trajectory,
+    fruit: Fruit,
+    goal_contact: GoalContact,
+    *,
+    at: tuple[float, float, float] | None = None,
+    rests_s: float = -math.inf,
 ) -> tuple[FruitContact, ...]:
     """Time window in which the last link may touch the goal fruit.
 
-    Empty if the motion never reaches the fruit.
+    Empty if the motion never reaches the fruit while it rests.
+
+    Args:
+        at: Centre of the fruit at rest, in `base_link`; None for its listed one [m].
+        rests_s: Time from which it rests, from the start of the motion [s].
     """
     time, last = trajectory.time, trajectory.samples - 1
-    pieces: slice | None = slice(0, last)
-    if goal_contact != "motion":
-        pieces = contact_window(robot, _pieces(trajectory), fruit.center)
+    first = int(np.searchsorted(time, rests_s))
+    pieces: slice | None = slice(first, last) if first <= last else None
+    if goal_contact != "motion" and pieces is not None:
+        found = contact_window(robot, _pieces(trajectory)[min(first, max(0, last - 1)) :], at or fruit.center)
+        pieces = None if found is None else slice(found.start + first, found.stop + first)
     if pieces is None:
         return ()
     return (FruitContact(fruit, float(time[min(pieces.start, last)]), float(time[min(pieces.stop, last)])),)
@@ -374,13 +386,23 @@ def base_violations(
         yield f"obstacle {found.obstacle!r} is {depth}"
 
 
-def stretches(checker: CoalScene, clock: FloatArray, contacts: Iterable[FruitContact]) -> list[Stretch]:
+def stretches(
+    checker: CoalScene, clock: FloatArray, contacts: Iterable[FruitContact], times: FloatArray | None = None
+) -> list[Stretch]:
     """Split a motion at its fruit contacts into ranges with collision checkers.
+
+    A moving fruit may be touched only once it rests.
 
     Args:
         clock: (n,) times of the motion's samples, on the clock of the contacts [s].
+        times: (n,) times of the samples on the clock of the obstacles' movements; None for `clock` [s].
     """
-    inside = [(pieces, each.fruit) for each in contacts if (pieces := each.pieces(clock)) is not None]
+    times = clock if times is None else times
+    inside = list[tuple[slice, Fruit]]()
+    for each in contacts:
+        pieces, first = each.pieces(clock), int(np.searchsorted(times, checker.rests_from(each.fruit.name)))
+        if pieces is not None and first < pieces.stop:
+            inside.append((slice(max(first, pieces.start), pieces.stop), each.fruit))
     ends = {end for pieces, _ in inside for end in (pieces.start, pieces.stop)}
     found = []
     for first, last in pairwise(sorted({0, max(1, len(clock) - 1), *ends})):

@@ -8,7 +8,8 @@ window around the instant when the tool is at the fruit's centre. In this window
 - the last link keeps its direction within `TURN`.
 
 The link then touches the fruit with its tip only, from first contact to the grasp and back. Outside the window, and for
-every other link inside it, clearance from the fruit is certified as from any obstacle.
+every other link inside it, clearance from the fruit is certified as from any obstacle. A fruit with a track may be
+touched only once it rests relative to the base.
 
 The link's direction is the tool axis (`hplan.robot.model.Robot.tool_axis`), and the link may rotate about it. The last
 link is the body carried by the joint of the tool frame.
@@ -28,6 +29,7 @@ counted from the base,
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,10 +67,31 @@ class FruitContact:
         """Start and end of the window [s]."""
         return self.begin_s, self.end_s
 
+    def starting_at(self, time_s: float) -> FruitContact:
+        """The window with times from `time_s` on, those of the fruit's track included [s]."""
+        track = self.fruit.track
+        fruit = self.fruit if track is None else self.fruit.copy_unchecked({"track": track.starting_at(time_s)})
+        return FruitContact(fruit, max(self.begin_s - time_s, 0.0), self.end_s - time_s)
+
     def covers(self, other: FruitContact) -> bool:
         """True if this contact allows everything that another one allows."""
+        same = self.is_with([other.fruit])
         begins, ends = self.begin_s <= other.begin_s + SAME_TIME, other.end_s <= self.end_s + SAME_TIME
-        return self.fruit == other.fruit and begins and ends
+        return same and begins and ends
+
+    def is_with(self, fruits: Iterable[Fruit]) -> bool:
+        """True if the fruit is one of some fruits, equal in every value; times of tracks may differ by rounding."""
+        track = self.fruit.track
+        for fruit in fruits:
+            if track is None or fruit.track is None:
+                if self.fruit == fruit:
+                    return True
+            elif len(track.times_s) == len(fruit.track.times_s):
+                off_s = np.abs(np.subtract(track.times_s, fruit.track.times_s)).max()
+                moved = fruit.track.copy_unchecked({"times_s": track.times_s})
+                if off_s <= 1e3 * SAME_TIME and self.fruit == fruit.copy_unchecked({"track": moved}):
+                    return True
+        return False
 
     def pieces(self, clock: FloatArray) -> slice | None:
         """Range of a motion's segments within the window; None if empty.

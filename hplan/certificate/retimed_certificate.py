@@ -50,6 +50,7 @@ class CertifiedMotion(Record, InNotebook):
         off_path_m: Upper bound of the arm's distance from the other motion's path [m].
         robot: The arm.
         scene: The scene in which it is certified.
+        clock: (samples,) time of each sample in the other motion, from its start [s].
         begins_s: Start time of both motions on the controller's clock [s].
     """
 
@@ -59,6 +60,7 @@ class CertifiedMotion(Record, InNotebook):
     off_path_m: float
     robot: Robot
     scene: Scene
+    clock: FloatArray
     begins_s: float = 0.0
 
 
@@ -98,7 +100,7 @@ def certified_retiming(
         contacts=map_to_retimed(retimed, running.contacts),
         digests=Digests.compute(robot, scene, whole),
     )
-    return CertifiedMotion(whole, certificate, float(whole.time[row]), retimed.off_path_m, robot, scene)
+    return CertifiedMotion(whole, certificate, float(whole.time[row]), retimed.off_path_m, robot, scene, retimed.clock)
 
 
 def certified_from(
@@ -125,7 +127,7 @@ def certified_from(
     found = certify_among(
         robot,
         motion,
-        stretches(checker, retimed.clock[row:], contacts),
+        stretches(checker, retimed.clock[row:], contacts, retimed.trajectory.time[row:]),
         clearance=scene.clearance,
         tracking=tracking,
         rest_to_rest=False,

@@ -19,7 +19,7 @@ TASK_TOLERANCE = 1e-5
 _ROTATION_TOLERANCE = 1e-3
 
 
-def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[str]:
+def task_violations(robot: Robot, scene: Scene, bezier: FloatArray, times: FloatArray | None = None) -> Iterator[str]:
     """Messages about unsolved parts of the scene's task.
 
     The motion must start at the start and end at the goal: at its joint values, with the tool at its position, or with
@@ -31,6 +31,8 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[
         robot: The arm.
         scene: The scene with the task.
         bezier: (segments, 4 or 6, dof) Bezier points of the motion's segments.
+        times: (samples,) times of the samples on the clock of the scene's tracks; a moving goal fruit counts as reached
+            only once it rests. None if it does not move [s].
 
     Raises:
         InputError: Start, goal or locked joints of the scene do not fit the robot.
@@ -52,15 +54,20 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[
     if pose is not None:
         yield from _describe_pose_difference(robot, pose, scene.goal.frame, rows[-1])
         return
-    fruit = scene.goal_fruit
-    if fruit is None:
+    resting = scene.resting_goal_fruit
+    if resting is None:
         row, what = len(rows) - 1, "position"
         away = instant_at(robot, rows[-1:], np.array(scene.goal.position))[1]
     else:
-        row, away = instant_at(robot, rows, fruit.center)
-        what = f"fruit {fruit.name!r}"
+        fruit, rests_s = resting
+        first = 0 if times is None else int(np.searchsorted(times, rests_s))
+        if first >= len(rows):
+            yield f"the motion ends before fruit {fruit.name!r} comes to rest at {rests_s:.6g} s"
+            return
+        row, away = instant_at(robot, rows[first:], fruit.center)
+        row, what = row + first, f"fruit {fruit.name!r}"
     if not away <= THERE:
-        when = "ends with the tool" if fruit is None else "brings the tool no closer than"
+        when = "ends with the tool" if resting is None else "brings the tool no closer than"
         yield f"the motion {when} {1e3 * away:.4g} mm from the goal, {what}"
     else:
         yield from _approach(robot, scene, rows[row])

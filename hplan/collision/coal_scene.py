@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -218,6 +219,12 @@ class CoalScene:
             return self
         built = {**self._built, "deviation": most, "clearance": clearance}
         return _rebuilt(built, self._touched)
+
+    def rests_from(self, name: str) -> float:
+        """Time from which an obstacle rests relative to the base; -inf if it never moves [s]."""
+        moving = () if self.moving is None else zip(self.moving.solids, self.moving.movements, strict=True)
+        times = (float(how.breaks[-1]) for solid, how in moving if how is not None and solid.name == name)
+        return max(times, default=-math.inf)
 
     def allow_touch(self, name: str, hangs_from: Sequence[str] = ()) -> CoalScene:
         """Checker whose last link may touch the obstacles of a name.

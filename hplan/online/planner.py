@@ -18,17 +18,27 @@ from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar, get_args, overl
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.base.arguments import check_between, number, one_of, text
+from hplan.base.arguments import check_between, instance, number, one_of, text
 from hplan.base.arrays import FloatArray, numbers, readonly
 from hplan.base.checked import StrictModel
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.forking import renewed_in_children
+from hplan.base.log import LOG
 from hplan.certificate.certificate import with_violations
+from hplan.certificate.digests import Digests
 from hplan.certificate.retimed_certificate import CertifiedMotion
 from hplan.collision.far_obstacles import warn_of_far_obstacles
 from hplan.collision.obstacle_rows import solid_rows
 from hplan.collision.reach import largest_sway
-from hplan.errors import HplanError, InputError, NotInTimeError, OptionError, PlanCancelledError
+from hplan.errors import (
+    FrameError,
+    HplanError,
+    InputError,
+    NotInTimeError,
+    OptionError,
+    PlanCancelledError,
+    RunningMotionBlockedError,
+)
 from hplan.online.arm_shape import arm_solids
 from hplan.online.body_distances import distances_from_bodies
 from hplan.online.frame import CloudOptions, Frame, FrameReport, SeenPoints, filter_frame, rigid
@@ -54,6 +64,7 @@ from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacle_kind import FromData
 from hplan.scene.obstacles import KINDS, Obstacle, PointCloud
 from hplan.scene.tracks import Track
+from hplan.trajectory.trajectory import SAME_TIME, Phase
 
 
 class Planner:
@@ -218,7 +229,17 @@ class Planner:
                 return self._from_rest(begins_s, None if self.last is None else self.last.motion)
             scene, options, known_s = self.scene, self.options, at if now is None else now
             self._check_clouds(scene, options, known_s)
-            spliced = self._running_motion(scene, options, now, measured).splice(at)
+            try:
+                spliced = self._running_motion(scene, options, now, measured).splice(at)
+            except RunningMotionBlockedError as error:
+                LOG.warning("at %.6g s: %s", known_s, error.message)
+                raise
+            end_s = spliced.begins_s + spliced.trajectory.duration
+            if spliced.is_kept:
+                LOG.info("at %.6g s: the motion is kept until %.6g s", known_s, end_s)
+            else:
+                seam_s = spliced.begins_s + spliced.seam_s
+                LOG.info("at %.6g s: a new motion takes over at %.6g s, until %.6g s", known_s, seam_s, end_s)
             self.last = self._with_ages(spliced, scene, known_s)
             return self.last
 
@@ -243,8 +264,57 @@ class Planner:
         """
         scene, options = self.scene, self.options
         found = self._running_motion(scene, options, now, measured).stop_at(t)
+        LOG.info("stop from %.6g s, at rest at %.6g s", t, found.begins_s + found.trajectory.duration)
         faults = [error.message for error in self._cloud_faults(scene, options, t if now is None else now)]
         return replace(found, certificate=with_violations(found.certificate, faults))
+
+    def use(self, motion: CertifiedMotion) -> PlanResult:
+        """Set the motion that the controller runs: the last one at other speeds, or with a stop.
+
+        For a speed override of 50 % from a time t of the motion on:
+        `planner.use(planner.last.scale_speed([(0, 1), (t, 1), (t, 0.5)]))`. The planner then assumes that the arm
+        follows it: `replan` and `stop_at` continue from it, and certify it anew among the current obstacles.
+
+        Args:
+            motion: Result of `scale_speed` or `stop_at` of the last plan, or of the planner's own `stop_at`.
+
+        Returns:
+            The last plan with this trajectory, its certificate and phases; read `certificate.verified`, since a slower
+            motion meets moving obstacles at other places.
+
+        Raises:
+            InputError: There is no last plan, or the motion is not on its path or has another start time.
+            OptionError: `motion` is not a `CertifiedMotion`.
+        """
+        instance("motion", motion, CertifiedMotion, "PlanResult.scale_speed or stop_at")
+        with self._changing:
+            last = self.last
+            if last is None:
+                raise InputError("there is no motion to change: plan one first")
+            if not motion.begins_s == last.begins_s and not math.isnan(motion.begins_s):
+                raise InputError(
+                    f"the motion begins at {motion.begins_s:.10g} s on the controller's clock, but the last plan at "
+                    f"{last.begins_s:.10g} s"
+                )
+            own, clock = last.trajectory, motion.clock
+            names = motion.trajectory.joint_names
+            if names != own.joint_names or not np.allclose(
+                own.positions(np.minimum(clock, own.duration)), motion.trajectory.position, rtol=0.0, atol=_ON_PATH
+            ):
+                raise InputError("the motion is not on the path of the last plan: take scale_speed or stop_at of it")
+            begun = [phase for phase in last.phases if phase.start_s <= clock[-1]]
+            phases = tuple(phase.retime(clock, motion.trajectory.time) for phase in begun)
+            changes: dict[str, Any] = {"trajectory": motion.trajectory, "certificate": motion.certificate}
+            changes |= {"phases": phases, "bound": None}
+            if clock[-1] < own.duration - SAME_TIME:
+                changes |= _stopped_changes(last, motion)
+            if isinstance(last, SplicedResult):
+                changes["seam_s"] = (
+                    Phase("seam", last.seam_s, last.seam_s).retime(clock, motion.trajectory.time).start_s
+                )
+            self.last = replace(last, **changes)
+            LOG.info("the controller runs the motion until %.6g s", last.begins_s + motion.trajectory.duration)
+            return self.last
 
     def set_start_time(self, at_s: float) -> PlanResult:
         """Set the actual start time of the last motion.
@@ -368,13 +438,17 @@ class Planner:
             self._cropped.pop(name, None)
 
     def move(self, name: str, **changes: Any) -> None:
-        """Change values of an obstacle, for example `move("post", center=(1, 0, 1))`.
+        """Change values of an obstacle or a fruit, for example `move("post", center=(1, 0, 1))`.
 
         Raises:
             InputError: There is no such obstacle; it has no such value, or the value is invalid; or it is a cloud that
                 `set_cloud` has cropped to the workspace at its observed pose.
         """
         with self._changing:
+            if any(fruit.name == name for fruit in self.scene.fruits):
+                fruits = (_with_changes(f, changes) if f.name == name else f for f in self.scene.fruits)
+                self.scene = self.scene.copy_unchecked({"fruits": tuple(fruits)})
+                return
             index, cropped = self._index(name), self._cropped.get(name)
             if cropped is not None and self.scene.obstacles[index] is cropped.cloud:
                 raise InputError(
@@ -468,7 +542,11 @@ class Planner:
                 before=self._seen.get(name),
                 scratch=self._scratch,
             )
-            accepted = check_content(name, found.report, options, time_s, before)
+            try:
+                accepted = check_content(name, found.report, options, time_s, before)
+            except FrameError as error:
+                LOG.warning("frame of %r refused: %s", name, error.message)
+                raise
             cloud = None
             if len(found.points):
                 cloud = PointCloud.from_thinned(name, found.points, found.report.radius_m, yields)
@@ -697,11 +775,26 @@ def _route(track: Track | None) -> tuple[Any, ...]:
 #: How unknown space counts.
 Unknown: TypeAlias = Literal["free", "solid"]
 
+#: Maximum difference of a retimed motion's joint values from the path of its original [rad; m for prismatic joints].
+_ON_PATH = 1e-3
+
 #: Differences of lengths up to this count as zero [m].
 _SAME_M = 1e-9
 
 _Model = TypeVar("_Model", bound=StrictModel)
 _Result = TypeVar("_Result", bound=PlanResult)
+
+
+def _stopped_changes(last: PlanResult, motion: CertifiedMotion) -> dict[str, Any]:
+    """Fields of a plan whose motion stops early: its task is to reach the stop."""
+    problem, end = last.motion.problem, tuple(motion.trajectory.position[-1].tolist())
+    scene = problem.scene.copy_unchecked({"goal": Goal(joints_rad=end)})
+    digests = Digests.compute(last.robot, scene, motion.trajectory)
+    return {
+        "grasp": None,
+        "motion": replace(last.motion, problem=replace(problem, scene=scene)),
+        "certificate": replace(motion.certificate, digests=digests),
+    }
 
 
 def _check_kind(item: object) -> None:

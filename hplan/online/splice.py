@@ -23,6 +23,7 @@ from hplan.base.arguments import number
 from hplan.base.arrays import numbers
 from hplan.certificate.certificate import Certificate, all_of, rest_violations, with_violations
 from hplan.certificate.digests import Digests
+from hplan.certificate.goal_contact import FruitContact
 from hplan.certificate.moving_obstacles import checker_in_time
 from hplan.certificate.retimed_certificate import CertifiedMotion, certified_from, map_to_retimed
 from hplan.certificate.task_check import TASK_TOLERANCE
@@ -68,11 +69,7 @@ def _shift_certificate(certificate: Certificate, time_s: float) -> Certificate:
     nearest_s, clear_until_s = (
         None if when is None else when - time_s for when in (certificate.nearest_s, certificate.clear_until_s)
     )
-    contacts = tuple(
-        replace(contact, begin_s=max(contact.begin_s - time_s, 0.0), end_s=contact.end_s - time_s)
-        for contact in certificate.contacts
-        if contact.end_s >= time_s
-    )
+    contacts = tuple(contact.starting_at(time_s) for contact in certificate.contacts if contact.end_s >= time_s)
     return replace(certificate, nearest_s=nearest_s, clear_until_s=clear_until_s, contacts=contacts)
 
 
@@ -124,7 +121,7 @@ class RunningMotion:
         self._world = World.of_scene(plan.robot, still, options)
         self._checker = checker_in_time(plan.robot, scene, options.sigmas) if scene.moves else self._world.checker
         # Contact is allowed with the fruits that existed at planning time, not with different ones of the same names.
-        self._contacts = tuple(each for each in plan.certificate.contacts if each.fruit in scene.fruits)
+        self._contacts = tuple(each for each in plan.certificate.contacts if each.is_with(scene.fruits))
 
     def _since_begin(self, option: str, value: float, low: float) -> float:
         """Convert a controller time to one since the motion's start.
@@ -204,13 +201,17 @@ class RunningMotion:
         certificate = replace(certificate, digests=Digests.compute(self.plan.robot, self._scene, motion))
         parts_s = float(motion.time[retimed.row])
         robot, begins_s = self.plan.robot, self.plan.begins_s
-        return CertifiedMotion(motion, certificate, parts_s, retimed.off_path_m, robot, self._scene, begins_s)
+        return CertifiedMotion(
+            motion, certificate, parts_s, retimed.off_path_m, robot, self._scene, retimed.clock, begins_s
+        )
 
     def _may_stay(self) -> bool:
         """True if the motion solves the current task."""
         before, now = self.plan.scene, self._scene
         same = before.goal == now.goal and before.locked_joints == now.locked_joints
-        return same and before.goal_fruit == now.goal_fruit
+        if before.goal_fruit is None or now.goal_fruit is None:
+            return same and before.goal_fruit == now.goal_fruit
+        return same and FruitContact(before.goal_fruit, 0.0, 0.0).is_with([now.goal_fruit])
 
     def _certificate(self, retimed: Retimed, row: int, *, rest: bool = False) -> Certificate:
         """Certify a motion on the running path among the current obstacles.

@@ -27,7 +27,7 @@ from hplan.planning.start_in_motion import after_stop, stops
 from hplan.scene.model import Fruit, Scene, Start
 from hplan.scene.obstacle_kind import transform_fields
 from hplan.scene.obstacles import AnyObstacle, Sphere
-from hplan.trajectory.trajectory import Phase, Retimed, Trajectory, join_trajectories, scale_motion
+from hplan.trajectory.trajectory import Phase, Trajectory, join_trajectories, scale_motion
 
 
 def past_moving_obstacles(solve: Solver, stop: Trajectory | None = None) -> Solver:
@@ -48,17 +48,13 @@ def _plans_in_time(problem: Problem, solve: Solver, stop: Trajectory | None) -> 
     """Certified plans among moving obstacles, each faster than the one before.
 
     Raises:
-        MovingObstacleError: The goal is a fruit that moves as seen from the base, or the options request a bound.
+        MovingObstacleError: The options request a bound.
         ObstacleInTimeError: No motion was certified; names a blocking obstacle and the time.
         HplanError: As raised by `solve` for the scene without moving obstacles.
     """
     robot, scene, options = problem.robot, problem.scene, problem.options
     if options.bound:
         raise MovingObstacleError(scene.first_moving, "duration bounds take scenes without moving bodies")
-    for fruit in scene.fruits:
-        if fruit.name == scene.goal.fruit and (fruit.track is not None or scene.base_track is not None):
-            moving = None if fruit.track is None else fruit.name
-            raise MovingObstacleError(moving, "the fruit to pick must not move relative to the base")
     try:
         yield from _TimedSearch(problem, solve).plans()
     except ObstacleInTimeError:
@@ -180,9 +176,10 @@ class _TimedSearch:
         report = {"path": path, "waits_s": 0.0, "slows_down": False, "at_full_speed_s": motion.duration}
         if certificate.verified:
             return _run(still, self._scene, (phases, motion, certificate), report)
+        grasp_s = [phase.end_s for phase in phases if phase.name != "retreat"][-1]
         # Allowed deviation from the schedule, earlier or later, tried in turn [s].
         for spare_s in (0.02, 0.06, 0.15):
-            cells = PathInTime(motion, self._field, step_s=STEP_S, spare_s=spare_s)
+            cells = PathInTime(motion, self._field, step_s=STEP_S, spare_s=spare_s, grasp_s=grasp_s)
             schedule = earliest_schedule(
                 cells,
                 motion.duration,
@@ -201,7 +198,7 @@ class _TimedSearch:
             certificate = self._certify(still, retimed.trajectory)
             if certificate.verified:
                 report |= {"waits_s": schedule.waiting_s, "slows_down": schedule.slows_down}
-                phases = tuple(_retime_phase(phase, retimed) for phase in phases)
+                phases = tuple(phase.retime(retimed.clock, retimed.trajectory.time) for phase in phases)
                 return _run(still, self._scene, (phases, retimed.trajectory, certificate), report)
             self.tried.append(f"{path}: {certificate.violations[0]}")
         return None
@@ -218,17 +215,6 @@ def _run(
     return replace(plan, transit=transit, run=run, told={"in_time": {**told, "clear_until_s": run[2].clear_until_s}})
 
 
-def _retime_phase(phase: Phase, retimed: Retimed) -> Phase:
-    """A phase on the clock of the retimed motion.
-
-    It runs from the last sample at or before its start to the first sample at or after its end.
-    """
-    clock, time = retimed.clock, retimed.trajectory.time
-    begin = max(0, int(np.searchsorted(clock, phase.start_s + 1e-9, side="right")) - 1)
-    end = int(np.searchsorted(clock, phase.end_s - 1e-9, side="left")) if phase.end_s < clock[-1] - 1e-9 else -1
-    return Phase(phase.name, float(time[begin]) if phase.start_s > 0.0 else 0.0, float(time[end]))
-
-
 #: Maximum displacement between consecutive poses of one obstacle [m], and the maximum number of poses.
 APART_M: Final = 0.03
 _MOST_POSES: Final = 24
@@ -237,10 +223,12 @@ _MOST_POSES: Final = 24
 def without_moving(scene: Scene) -> Scene:
     """The scene without its moving obstacles.
 
-    On a moving base: the other obstacles, at their initial poses.
+    On a moving base: the other obstacles, at their initial poses, or with a goal fruit at their last ones. The goal
+    fruit is where it comes to rest.
     """
-    at_first = scene.snapshot(0.0)
-    kept = {item.name for item in (*scene.obstacles, *scene.fruits) if item.track is None}
+    is_fruit = scene.goal.fruit is not None
+    at_first = _with_resting_goal(scene.snapshot(scene.at_rest_s if is_fruit else 0.0), scene)
+    kept = {item.name for item in (*scene.obstacles, *scene.fruits) if item.track is None} | {scene.goal.fruit}
     return at_first.copy_unchecked(
         {
             "obstacles": tuple(item for item in at_first.obstacles if item.name in kept),
@@ -249,16 +237,25 @@ def without_moving(scene: Scene) -> Scene:
     )
 
 
+def _with_resting_goal(scene: Scene, moving: Scene) -> Scene:
+    """A scene with the goal fruit where it comes to rest in another one."""
+    if moving.resting_goal_fruit is None:
+        return scene
+    goal, _ = moving.resting_goal_fruit
+    return scene.copy_unchecked({"fruits": tuple(goal if f.name == goal.name else f for f in scene.fruits)})
+
+
 def among_poses(scene: Scene, from_s: float, to_s: float) -> Scene:
     """The scene with moving obstacles at all their poses within an interval.
 
-    Consecutive poses are close to each other (`APART_M`).
+    Consecutive poses are close to each other (`APART_M`). The goal fruit is where it comes to rest.
 
     Args:
         from_s: Start of the interval [s].
         to_s: End of the interval [s].
     """
-    moving = set(scene.poses_at([from_s]))
+    scene = _with_resting_goal(scene, scene)
+    moving = set(scene.poses_at([from_s])) - {scene.goal.fruit}
     still_fruits = tuple(fruit for fruit in scene.fruits if fruit.name not in moving)
     fruits = tuple(fruit for fruit in scene.fruits if fruit.name in moving)
     obstacles: list[AnyObstacle] = [item for item in scene.obstacles if item.name not in moving]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from hplan.base.arguments import function, instance
 from hplan.base.deadline import Cancel, TimeIsUpError, TimeLimit, time_limit
+from hplan.base.log import LOG
 from hplan.certificate.certificate import GoalContact, certify, goal_contacts
 from hplan.certificate.digests import Digests
 from hplan.collision.far_obstacles import warn_of_far_obstacles
@@ -131,9 +132,15 @@ def solve_scene(
         with stage_clock(progress) as clock, time_limit(options.deadline_s) as limit:
             try:
                 found = solver(before, stop)(problem)
-                return plan_result(best_of(found)) if options.deadline_s is None else _last_in_time(found, limit)
+                result = plan_result(best_of(found)) if options.deadline_s is None else _last_in_time(found, limit)
             except TimeIsUpError:
                 raise limit.error(clock.describe()) from None
+            LOG.info(
+                "plan for scene %r: %.3f s, clearance %.2f mm, %s, planned in %.0f ms",
+                problem.scene.name, result.trajectory.duration, 1e3 * result.certificate.min_clearance_m,
+                "verified" if result.certificate.verified else "not verified", result.time_ms["total"],
+            )  # fmt: skip
+            return result
     except (NoPathError, TimingError, CertificationError) as error:
         if not options.tracking.is_exact and options.deadline_s is None:
             fraction = _fraction_with_room(problem)

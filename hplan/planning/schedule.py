@@ -58,6 +58,7 @@ class MovingField:
 
     Attributes:
         at_rest_s: Time after which nothing moves [s].
+        goal_rests_s: Time from which the goal fruit rests; -inf without one [s].
     """
 
     def __init__(self, robot: Robot, scene: Scene, *, sigmas: Sigmas, tracking_error: float) -> None:
@@ -79,14 +80,22 @@ class MovingField:
         self._robot, self._deviation = robot, tracking_error
         self._rates = [(how.breaks, how.rates(solid.core, solid.rounding)) for solid, how in self._moving]
         self.at_rest_s = scene.at_rest_s
+        self.goal_rests_s = (scene.resting_goal_fruit or (None, -math.inf))[1]
+        # The goal fruit is an obstacle of the path once it rests.
+        ends = (self.goal_rests_s if solid.name == scene.goal.fruit else math.inf for solid, _ in self._moving)
+        self._until_s = np.array(list(ends))
 
-    def field_at(self, time_s: float) -> ClearanceField:
-        """The field at a time [s]; without the arm's own pairs."""
+    def field_at(self, time_s: float, from_s: float | None = None) -> ClearanceField:
+        """The field at a time [s]; without the arm's own pairs.
+
+        Args:
+            from_s: Start of the interval that the field is for; None for `time_s` [s].
+        """
         clock = np.array([time_s])
         poses = {id(how): tuple(part[0] for part in how.displacement_at(clock)) for _, how in self._moving}
         solids = tuple(transform_solid(solid, *poses[id(how)]) for solid, how in self._moving)
         field = replace(self._linked, solids=solids).field(self._robot, deviation=self._deviation)
-        return field.select(np.ones(len(solids), dtype=np.bool_), arm=False)
+        return field.select((time_s if from_s is None else from_s) < self._until_s, arm=False)
 
     def travel(self, from_s: float, to_s: float) -> float:
         """Maximum travel of the moving obstacles within an interval [m]."""
@@ -103,7 +112,9 @@ class PathInTime:
         at_rest_s: Time after which all rows are alike [s].
     """
 
-    def __init__(self, motion: Trajectory, field: MovingField, *, step_s: float, spare_s: float) -> None:
+    def __init__(
+        self, motion: Trajectory, field: MovingField, *, step_s: float, spare_s: float, grasp_s: float = math.inf
+    ) -> None:
         """Prepare the stations; cells are computed on demand.
 
         Args:
@@ -111,12 +122,14 @@ class PathInTime:
             field: The moving obstacles.
             step_s: Time between rows of cells [s].
             spare_s: Allowed deviation from the schedule, earlier or later [s].
+            grasp_s: Time of the grasp in the motion; later stations are not clear before the goal fruit rests [s].
         """
         count = max(1, math.ceil(motion.duration / _STATION_S))
         self.configurations = np.ascontiguousarray(motion.positions(np.linspace(0.0, motion.duration, count + 1)))
         self._motion, self._spacing_s = motion, motion.duration / count
         self.step_s, self.at_rest_s = step_s, field.at_rest_s
         self._field, self._half = field, 0.5 * step_s + spare_s
+        self._is_before_grasp = np.arange(count + 1) < math.floor(min(grasp_s / self._spacing_s, count + 1.0))
         turns = np.diff(self.configurations, axis=0)
         bounds = np.abs(turns) @ field.field_at(0.0).reaches.T
         self._travel = 0.5 * np.maximum(np.vstack([bounds[:1], bounds]), np.vstack([bounds, bounds[-1:]]))
@@ -129,14 +142,15 @@ class PathInTime:
         if self._last is None or self._last[0] != row:
             time_s = row * self.step_s
             begin_s, end_s = max(0.0, time_s - self._half), time_s + self._half
-            self._last = row, self._clear(np.arange(len(self.configurations)), begin_s, end_s)
+            clear = self._clear(np.arange(len(self.configurations)), begin_s, end_s)
+            self._last = row, clear if begin_s >= self._field.goal_rests_s else clear & self._is_before_grasp
         return self._last[1]
 
     def _clear(self, stations: IntArray, begin_s: float, end_s: float) -> BoolArray:
         """Mask of the given stations that are clear within a time interval."""
         travel = 0.5 * self._field.travel(begin_s, end_s)
         middle_s = 0.5 * (begin_s + end_s)
-        field = self._field.field_at(middle_s)
+        field = self._field.field_at(middle_s, begin_s)
         # Clearance required beyond the scene's own [m]: less than the margin of planned paths.
         margin_m = 2e-4
         spare = field.clearance_along(self.configurations[stations]) - margin_m

@@ -13,6 +13,7 @@ from contextvars import ContextVar
 from typing import TypeAlias
 
 from hplan.base.deadline import check_deadline
+from hplan.base.log import LOG
 
 #: Stages of a plan, in order.
 STAGES = (
@@ -49,7 +50,9 @@ class StageClock:
         try:
             yield
         finally:
-            self.add(name, time.perf_counter() - start)
+            took_s = time.perf_counter() - start
+            self.add(name, took_s)
+            LOG.debug("stage %s: %.3g ms", name, 1e3 * took_s)
 
     def add(self, name: str, seconds: float) -> None:
         """Add time that was measured elsewhere."""

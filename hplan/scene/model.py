@@ -308,6 +308,20 @@ class Scene(StrictModel):
         return next((fruit for fruit in self.fruits if fruit.name == self.goal.fruit), None)
 
     @property
+    def resting_goal_fruit(self) -> tuple[Fruit, float] | None:
+        """The goal fruit at its last pose relative to the base, and the time from which it rests there [s].
+
+        The time is -inf if it never moves; None for another kind of goal.
+        """
+        for item, movement in self._listed_movements():
+            if isinstance(item, Fruit) and item.name == self.goal.fruit:
+                if movement is None:
+                    return item, -math.inf
+                rotations, shifts = movement.displacement_at(movement.breaks[-1:])
+                return item.copy_unchecked(transform_fields(item, rotations[0], shifts[0])), float(movement.breaks[-1])
+        return None
+
+    @property
     def gives_way(self) -> bool:
         """True if an obstacle, a fruit or an attached branch is compliant."""
         return any(item.yields for item in (*self.obstacles, *self.fruits)) or any(f.hangs_from for f in self.fruits)

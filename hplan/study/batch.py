@@ -11,6 +11,8 @@ from functools import lru_cache, partial
 from pathlib import Path
 
 from hplan.base.arguments import file_path, instance
+from hplan.base.data_files import shipped_scenes
+from hplan.base.files import prepare_folder
 from hplan.base.tasks import Pool, outcomes, pool_of
 from hplan.certificate.digests import robot_digest, scene_digest
 from hplan.errors import HplanError, OptionError
@@ -65,11 +67,19 @@ class BatchRow:
 
 @dataclass(frozen=True)
 class _Job:
-    """A scene file and the file name of its trajectory."""
+    """A scene file, and the digests of its rows that are kept."""
 
-    digest: str
     scene: Path | str
-    trajectory: str
+    known: frozenset[str]
+
+
+@dataclass(frozen=True)
+class _Task:
+    """Settings of all plans: robot, options, and folder of the trajectories."""
+
+    robot: Robot | None
+    options: PlanOptions
+    folder: Path | None
 
 
 def run_batch(
@@ -125,57 +135,55 @@ def run_batch(
     kept_in = None if rows is None else file_path("rows", rows)
     if robot is not None:
         instance("robot", robot, Robot)
-    jobs = [_job(scene, robot, repr(options), with_trajectory=folder is not None) for scene in scenes]
+    for scene in scenes:
+        if not Path(scene).exists() and scene not in shipped_scenes():
+            load_scene(scene)  # raises: probably a slip in the call, where all other errors are rows
     if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
+        prepare_folder(folder)
+    task = _Task(robot, options, folder)
     pool, at_once = pool_of(executor, workers)
     with open_rows(kept_in, BatchRow, "batch") as (found, keep):
-        known = {job.digest for job in jobs}
-        done = {row.digest: row for row in found if row.digest in known}
-        if folder is not None:
-            done = {
-                digest: row
-                for digest, row in done.items()
-                if row.status != "ok" or (row.trajectory and (folder / row.trajectory).is_file())
-            }
-        left = [job for job in jobs if job.digest not in done]
-        progress(len(done), len(jobs))
-        for _, row in outcomes(partial(_plan_row, robot, options, folder), left, pool, at_once):
-            keep(row)
-            done[row.digest] = row
+        known: dict[str, dict[str, BatchRow]] = {str(scene): {} for scene in scenes}
+        for row in found:
+            is_whole = folder is None or row.status != "ok" or (row.trajectory and (folder / row.trajectory).is_file())
+            if row.scene in known and is_whole:
+                known[row.scene][row.digest] = row
+        jobs = [_Job(scene, frozenset(known[str(scene)])) for scene in scenes]
+        done: dict[int, BatchRow] = {}
+        progress(0, len(jobs))
+        for number, found_row in outcomes(partial(_plan_row, task), jobs, pool, at_once):
+            if isinstance(found_row, str):
+                done[number] = known[str(scenes[number])][found_row]
+            else:
+                keep(found_row)
+                done[number] = found_row
             progress(len(done), len(jobs))
-    return tuple(done[job.digest] for job in jobs)
+    return tuple(done[number] for number in range(len(jobs)))
 
 
-def _job(scene: Path | str, robot: Robot | None, options: str, *, with_trajectory: bool) -> _Job:
-    """Identify a scene file by its content, robot and options.
+def _plan_row(task: _Task, job: _Job) -> BatchRow | str:
+    """Plan for one scene file; return its row, or the digest of its known row.
 
-    Meshes and clouds are included.
+    The row has the error if there is no motion. A scene is identified by its content, meshes and clouds included, by
+    the robot and the options.
     """
-    try:
-        found = load_scene(scene)
-        content = scene_digest(found) + robot_digest(_scene_robot(found.robot) if robot is None else robot)
-    except HplanError as error:
-        if not Path(scene).exists():
-            raise  # probably a slip in the call, where all other errors are rows
-        content = error.message
-    digest = hashlib.sha256(f"{scene}\n{options}\n{content}".encode()).hexdigest()[:16]
-    return _Job(digest, scene, f"{Path(scene).stem}-{digest[:8]}.csv" if with_trajectory else "")
-
-
-def _plan_row(robot: Robot | None, options: PlanOptions, folder: Path | None, job: _Job) -> BatchRow:
-    """Plan for one scene file; return its row.
-
-    The row has the error if there is no motion.
-    """
-    begin, name = time.process_time(), "" if robot is None else robot.name
+    begin, robot, fault = time.process_time(), task.robot, None
     try:
         scene = load_scene(job.scene)
         robot = _scene_robot(scene.robot) if robot is None else robot
-        name = robot.name
-        result = plan(robot, scene, options)
-        if folder is not None:
-            write_csv(result.trajectory, folder / job.trajectory)
+        content = scene_digest(scene) + robot_digest(robot)
+    except HplanError as error:
+        fault, content = error, error.message
+    digest = hashlib.sha256(f"{job.scene}\n{task.options!r}\n{content}".encode()).hexdigest()[:16]
+    if digest in job.known:
+        return digest
+    trajectory = "" if task.folder is None else f"{Path(job.scene).stem}-{digest[:8]}.csv"
+    try:
+        if fault is not None or robot is None:
+            raise fault or AssertionError
+        result = plan(robot, scene, task.options)
+        if task.folder is not None:
+            write_csv(result.trajectory, task.folder / trajectory)
     except HplanError as error:
         missing = {field.name: None if "None" in str(field.type) else "" for field in fields(BatchRow)}
         failed = {
@@ -185,9 +193,10 @@ def _plan_row(robot: Robot | None, options: PlanOptions, folder: Path | None, jo
             "error": error.message,
             "cpu_s": time.process_time() - begin,
         }
-        return BatchRow(**(missing | {"digest": job.digest, "scene": str(job.scene), "robot": name} | failed))  # type: ignore[arg-type]
-    found = {"status": "ok", "exit_status": 0, "cpu_s": time.process_time() - begin, "trajectory": job.trajectory}
-    return BatchRow(job.digest, str(job.scene), **(result.row() | found))
+        name = "" if robot is None else robot.name
+        return BatchRow(**(missing | {"digest": digest, "scene": str(job.scene), "robot": name} | failed))  # type: ignore[arg-type]
+    found = {"status": "ok", "exit_status": 0, "cpu_s": time.process_time() - begin, "trajectory": trajectory}
+    return BatchRow(digest, str(job.scene), **(result.row() | found))
 
 
 @lru_cache(maxsize=16)

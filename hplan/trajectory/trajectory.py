@@ -63,6 +63,19 @@ class Phase:
         """
         return Phase(self.name, self.start_s + seconds, self.end_s + seconds)
 
+    def retime(self, clock: FloatArray, time: FloatArray) -> Phase:
+        """The phase on the clock of a retimed motion.
+
+        It runs from the last sample at or before its start to the first sample at or after its end.
+
+        Args:
+            clock: (n,) time of each sample in this phase's motion [s].
+            time: (n,) time of each sample in the retimed motion [s].
+        """
+        begin = max(0, int(np.searchsorted(clock, self.start_s + SAME_TIME, side="right")) - 1)
+        end = int(np.searchsorted(clock, self.end_s - SAME_TIME)) if self.end_s < clock[-1] - SAME_TIME else -1
+        return Phase(self.name, float(time[begin]) if self.start_s > 0.0 else 0.0, float(time[end]))
+
 
 @dataclass(frozen=True, eq=False)
 class Trajectory(Record):

@@ -188,6 +188,30 @@ def test_processes_do_not_compile_the_same(folder: Path) -> None:
     assert sorted(line for lines in said for line in lines if line) == ["long.long 2", "long.twice 1"]
 
 
+def test_turn_ends_when_another_process_has_compiled_the_kernel(compiled: Path, folder: Path) -> None:
+    """A process that loads the kernel after waiting does not keep others waiting for it."""
+    code = f"""
+import shutil, subprocess, sys
+import kernels
+from hplan.base import kernels as cache
+asked, wait = [], cache.wait_for_turn
+def wait_for_other(folder, name):
+    shutil.copytree({str(compiled / "__pycache__")!r}, folder, dirs_exist_ok=True)
+    asked.append((str(folder), name))
+    return wait(folder, name) or True
+cache.wait_for_turn = wait_for_other
+print(kernels.triple(2.0), kernels.double(2.0), len(asked))
+ask = "from pathlib import Path; from hplan.base import kernel_turns as turns; turns._PATIENCE_S = 0.2; "
+for folder, name in asked:
+    subprocess.run([sys.executable, "-c", ask + f"print(turns.wait_for_turn(Path({{folder!r}}), {{name!r}}))"])
+"""
+    said, _ = run(folder, code, PYTHONUNBUFFERED="1")
+    first, *waited = said.split("\n")
+    assert first.startswith("6.0 4.0 ")
+    assert len(waited) == int(first.split()[-1]) > 0
+    assert set(waited) == {"False"}
+
+
 def test_nowhere_to_keep_them(folder: Path) -> None:
     (folder / "__pycache__").touch()  # a file instead of the folder stops root as well
     said, warned = run(folder, **NOWHERE)

@@ -226,6 +226,9 @@ class Touching(frozenset):
     def allow_touch(self, name, hangs_from):
         return Touching(self | {name})
 
+    def rests_from(self, name):
+        return -np.inf
+
 
 @pytest.mark.parametrize("seed", range(20))
 def test_windows_of_several_fruits(seed):

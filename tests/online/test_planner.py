@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import logging
 import math
 import subprocess
 import sys
@@ -18,7 +19,7 @@ from shapes import blocks
 import hplan
 from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import ConfigurationInCollisionError, InputError, SceneError
+from hplan.errors import ConfigurationInCollisionError, FrameError, InputError, SceneError
 from hplan.online.planner import Planner
 from hplan.online.warm_up import NotReadyWarning
 from hplan.planning.options import PlanOptions
@@ -222,12 +223,12 @@ def test_names_differ_and_are_known(robot: Robot) -> None:
     for name in ("post", "apple"):
         with pytest.raises(InputError, match=f"there already is an obstacle {name!r}"):
             planner.add(Sphere(name=name, center=(1.0, -1.0, 1.0), radius=0.1))
-    for name in ("nothing", "apple"):
-        if name != "apple":  # fruits can be removed
-            with pytest.raises(InputError, match=f"there is no obstacle {name!r}"):
-                planner.remove(name)
-        with pytest.raises(InputError, match=f"there is no obstacle {name!r}"):
-            planner.move(name, radius=0.1)
+    with pytest.raises(InputError, match="there is no obstacle 'nothing'"):
+        planner.remove("nothing")
+    with pytest.raises(InputError, match="there is no obstacle 'nothing'"):
+        planner.move("nothing", radius=0.1)
+    with pytest.raises(InputError, match="a fruit has no 'colour'"):
+        planner.move("apple", colour="red")
     for ask in (planner.remove, planner.move):
         with pytest.raises(InputError, match="expected the name of an obstacle"):
             ask("")
@@ -327,3 +328,22 @@ def test_any_arm_has_a_motion_to_make_ready_with(name: str, tmp_path_factory: py
         hplan.warm_up(loaded_arm(name, tmp_path_factory))
     gc.unfreeze()
     assert [str(each.message).split("'")[1] for each in said] == ["lift"] * (name == "lift")
+
+
+def test_log_tells_what_the_planner_does(robot: Robot, caplog: pytest.LogCaptureFixture) -> None:
+    planner = planner_for(robot, [POST])
+    with caplog.at_level(logging.DEBUG, logger="hplan"):
+        result = planner.plan(begins_s=5.0)
+        planner.replan(at=5.2, now=5.1)
+        planner.use(planner.stop_at(5.4, now=5.2))
+        with pytest.raises(FrameError):
+            planner.set_cloud("cloud", np.full((3, 3), np.nan), radius=0.01)
+    records = {level: [r.getMessage() for r in caplog.records if r.levelname == level] for level in ("INFO", "WARNING")}
+    assert [words.split(":")[0].split(" from")[0] for words in records["INFO"]] == [
+        "plan for scene 'test'", "at 5.1 s", "stop", "the controller runs the motion until "
+        f"{planner.last.begins_s + planner.last.trajectory.duration:.6g} s",
+    ]  # fmt: skip
+    assert f"{result.trajectory.duration:.3f} s, clearance" in records["INFO"][0]
+    assert [words.split(":")[0] for words in records["WARNING"]] == ["frame of 'cloud' refused"]
+    assert any(r.getMessage().startswith("stage certificate: ") for r in caplog.records if r.levelname == "DEBUG")
+    assert any(isinstance(handler, logging.NullHandler) for handler in logging.getLogger("hplan").handlers)

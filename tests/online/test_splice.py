@@ -10,7 +10,8 @@ from planned import assert_clear, at, between_rows, fruit, post, task
 from spliced import assert_goes_on
 
 from hplan.certificate.certificate import certify
-from hplan.errors import NotInTimeError, RunningMotionBlockedError
+from hplan.certificate.digests import Digests
+from hplan.errors import InputError, NotInTimeError, NotOnMotionError, OptionError, RunningMotionBlockedError
 from hplan.online.planner import Planner
 from hplan.online.splice import SplicedResult
 from hplan.planning.options import PlanOptions
@@ -177,3 +178,56 @@ def test_stops_of_the_running_motion(robot):
     assert not planner.stop_at(0.6).certificate.verified
     late = 0.6 * before.trajectory.duration
     assert planner.stop_at(late, now=late).certificate.verified
+
+
+@pytest.mark.parametrize("begins_s", [0.0, 1e4])
+def test_planner_follows_a_speed_override(robot: Robot, begins_s: float) -> None:
+    """At 30 % from 0.3 s on, the arm is where the planner takes it to be."""
+    planner, _ = a_planner(robot)
+    first = planner.plan(begins_s=begins_s)
+    slow = first.scale_speed([(0.0, 1.0), (0.3, 1.0), (0.3, 0.3)])
+    now, at_s = begins_s + 1.2, begins_s + 1.4
+    measured = slow.trajectory.state_at(now - begins_s)[0]
+    with pytest.raises(NotOnMotionError):
+        planner.replan(at=at_s, now=now, measured=measured)
+    used = planner.use(slow)
+    assert planner.last is used
+    assert (used.begins_s, used.certificate.verified) == (begins_s, True)
+    assert used.phases[-1].end_s == slow.trajectory.duration > first.trajectory.duration
+    planner.move("ball", center=on_the_way(robot, slow.trajectory, 0.6))
+    spliced = planner.replan(at=at_s, now=now, measured=measured)
+    assert not spliced.is_kept
+    np.testing.assert_allclose(spliced.trajectory.state_at(now - spliced.begins_s)[0], measured, atol=1e-6)
+    assert_spliced(robot, planner.scene.starting_at(spliced.begins_s), used, spliced)
+    again = planner.use(spliced.scale_speed(0.5))
+    assert isinstance(again, SplicedResult)
+    assert again.seam_s > spliced.seam_s
+
+
+def test_planner_continues_after_a_stop_that_it_uses(robot: Robot) -> None:
+    planner, first = a_planner(robot)
+    stop = planner.stop_at(0.4, now=0.2)
+    used = planner.use(stop)
+    assert used.phases[-1].end_s == stop.trajectory.duration < first.trajectory.duration
+    assert used.certificate.digests == Digests.compute(robot, used.scene, used.trajectory)
+    with pytest.raises(OptionError):
+        planner.replan(at=stop.trajectory.duration + 0.1)
+    end = planner.replan(at=stop.trajectory.duration, now=stop.trajectory.duration - 0.05)
+    assert end.certificate.verified
+    np.testing.assert_allclose(end.trajectory.position[-1], first.trajectory.position[-1], atol=1e-9)
+
+
+def test_only_the_last_motion_can_be_used_at_another_speed(robot: Robot) -> None:
+    planner, first = a_planner(robot)
+    slow = first.scale_speed(0.5)
+    planner.aim(goal=BACK)
+    planner.plan()
+    with pytest.raises(InputError, match="not on the path"):
+        planner.use(slow)
+    planner.plan(begins_s=3.0)
+    with pytest.raises(InputError, match="begins at"):
+        planner.use(slow)
+    with pytest.raises(OptionError, match="scale_speed"):
+        planner.use(first)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="plan one first"):
+        Planner(robot, planner.scene).use(slow)

@@ -11,10 +11,12 @@ from arm_variants import least_by_coal
 from fitted_arms import box, fitted
 from planned import assert_within_limits, task
 
+from hplan.certificate.certificate import certify
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.reach import is_moved
-from hplan.errors import ConfigurationInCollisionError, MovingObstacleError, ObstacleInTimeError
-from hplan.planning.in_time import _retime_phase, among_poses, without_moving
+from hplan.errors import ConfigurationInCollisionError, ObstacleInTimeError
+from hplan.online.planner import Planner
+from hplan.planning.in_time import among_poses, without_moving
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
@@ -35,6 +37,7 @@ from hplan.scene.tracks import Track
 from hplan.trajectory.trajectory import Phase, scale_motion
 
 START, GOAL = (0.0, 0.0, 0.0, 0.0), (0.0, 45.0, 60.0, 70.0)
+BEHIND = Sphere(name="behind", center=(-1.5, 0.0, 1.0), radius=0.1)
 PLANAR = {"locked_joints": ("base_yaw",)}
 
 
@@ -172,9 +175,51 @@ def test_fruit_is_picked_while_something_passes(robot):
         robot.tool_positions(result.grasp.goal),
         atol=2e-3,
     )
-    moves = apple.model_copy(update={"track": track})
-    with pytest.raises(MovingObstacleError, match="must not move"):
-        plan(robot, task(START, Goal(fruit="apple"), [passes], fruits=(moves,)))
+
+
+@pytest.mark.parametrize("base", [False, True])
+@pytest.mark.parametrize("rests_s", [0.2, 4.0])
+def test_moving_fruit_is_picked_once_it_rests(robot, rests_s, base):
+    """Swinging fruit, or fruit on the tree that the vehicle drives up to."""
+    apple = Fruit(name="apple", center=(1.3, 0.5, 1.5), radius=0.04)
+    towards = ((0.0, 0.0, 0.0), (0.0, -0.2, 0.0))
+    if base:
+        track = Track(times_s=(0.0, rests_s), shifts_m=tuple((x, -y, z) for x, y, z in towards))
+        scene = task(START, Goal(fruit="apple"), [BEHIND], fruits=(apple,), base_track=track)
+    else:
+        moves = apple.model_copy(update={"track": Track(times_s=(0.0, rests_s), shifts_m=towards)})
+        scene = task(START, Goal(fruit="apple"), [BEHIND], fruits=(moves,))
+    result = plan(robot, scene)
+    assert_sound(robot, scene, result)
+    begin_s, _ = result.certificate.contact_s
+    assert begin_s >= rests_s
+    reached = result.trajectory.positions([result.picked_fruit["apple"]])[0]
+    np.testing.assert_allclose(robot.tool_positions(reached), (1.3, 0.3, 1.5), atol=2e-3)
+    assert certify(robot, scene, result.trajectory).verified
+    # A fruit that rests later than the grasp may not be touched there, whatever windows are given.
+    later = scene.starting_at(-(result.picked_fruit["apple"] - rests_s + 0.05))
+    contacts = [replace(each, fruit=later.goal_fruit) for each in result.certificate.contacts]
+    for check_ends in (True, False):
+        assert not certify(robot, later, result.trajectory, contacts=contacts, check_ends=check_ends).verified
+    assert result.scale_speed(0.5).certificate.verified
+
+
+def test_planner_picks_a_moving_fruit(robot):
+    track = Track(times_s=(100.0, 103.0), shifts_m=((0.0, 0.2, 0.0), (0.0, 0.0, 0.0)))
+    apple = Fruit(name="apple", center=(1.3, 0.3, 1.5), radius=0.04, track=track)
+    planner = Planner(robot, task(START, Goal(fruit="apple"), [BEHIND], fruits=(apple,)))
+    first = planner.plan(begins_s=100.3)
+    kept = planner.replan(at=100.8, now=100.6)
+    assert kept.is_kept
+    assert planner.replan(at=101.0, now=100.9).is_kept
+    begin_s, _ = kept.certificate.contact_s
+    assert kept.begins_s + begin_s >= 103.0
+    planner.move("apple", track=track.starting_at(-1.0))  # it comes to rest later
+    later = planner.replan(at=101.3, now=101.1)
+    assert not later.is_kept
+    assert later.certificate.verified
+    assert later.begins_s + later.certificate.contact_s[0] >= 104.0
+    assert first.trajectory.duration < later.begins_s + later.trajectory.duration - 100.3
 
 
 def test_poses_of_movement_are_closely_spaced(robot):
@@ -324,7 +369,7 @@ def test_phases_by_another_clock_hold_all_that_they_held(robot):
         np.sort(random.choice(clock, 2)),
         clock[[0, -1]],
     ):
-        phase = _retime_phase(Phase("any", *ends.tolist()), retimed)
+        phase = Phase("any", *ends.tolist()).retime(retimed.clock, retimed.trajectory.time)
         first = max(row for row, when in enumerate(clock) if when <= ends[0] + 1e-9)
         last = min(row for row, when in enumerate(clock) if when >= ends[1] - 1e-9)
         assert phase.start_s == (time[first] if ends[0] > 0.0 else 0.0)

@@ -12,6 +12,7 @@ from hplan.apps.cli.main import main
 from hplan.errors import InputError, OptionError, SceneError
 from hplan.robot.model import load_robot
 from hplan.scene import Sphere
+from hplan.study import batch
 
 QUICK = PlanOptions(effort="quick")
 
@@ -51,8 +52,16 @@ def test_batch_resumes_from_its_table(scenes: list[Path], tmp_path: Path) -> Non
     table, done = tmp_path / "batch.csv", []
     first = run_batch(scenes[:1], QUICK, rows=table, workers=1)
     rows = run_batch(scenes, QUICK, rows=table, workers=1, progress=lambda *numbers: done.append(numbers))
-    assert done[0] == (1, 3)
+    assert done == [(0, 3), (1, 3), (2, 3), (3, 3)]
     assert rows[0] == first[0]
+    assert len(table.read_text().splitlines()) == 4
+
+
+def test_batch_loads_each_scene_once(scenes: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    loaded: list[Path | str] = []
+    monkeypatch.setattr(batch, "load_scene", lambda path: (loaded.append(path), load_scene(path))[1])
+    run_batch(scenes, QUICK, workers=1)
+    assert loaded == scenes
 
 
 def test_batch_plans_again_after_a_change_of_scene_or_options(scenes: list[Path], tmp_path: Path) -> None:

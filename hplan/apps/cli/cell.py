@@ -96,7 +96,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
         progress("reading robots and scene")
         with pause_garbage_collection():
             from hplan.planning.report import write_report
-            from hplan.tour.cell_tour import plan_cell_tour
+            from hplan.tour.cell_tour import CellTour, plan_cell_tour
             from hplan.workcell.cell import load_cell
             from hplan.workcell.planner import plan_cell
         options = plan_options(arguments, *(option for option in OF_PLANS if hasattr(arguments, option)))

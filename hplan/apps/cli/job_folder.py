@@ -14,7 +14,6 @@ import argparse
 import contextlib
 import json
 import os
-import secrets
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -27,7 +26,15 @@ from hplan.apps.cli.own_files import FORMAT_KEY, NOT_OURS, WRITTEN, check_own, d
 from hplan.apps.cli.own_files import REPORT as REPORT
 from hplan.apps.cli.own_files import ROW_REPORT as ROW_REPORT
 from hplan.apps.cli.own_files import TOUR_REPORT as TOUR_REPORT
-from hplan.base.files import REPORT_FORMAT, ByteBudget, check_replaceable, inputs, note_input, write_text
+from hplan.base.files import (
+    REPORT_FORMAT,
+    ByteBudget,
+    check_replaceable,
+    inputs,
+    note_input,
+    prepare_folder,
+    write_text,
+)
 from hplan.base.interrupts import INTERRUPTS, defer_signals, signal_of
 from hplan.errors import HplanError, InputError, OptionError, OutputError
 
@@ -367,24 +374,6 @@ def write_figure(draw: Callable[[], Figure], path: Path, errors: Console) -> lis
     except InputError as error:
         errors.print(f"no {path.name}: {error.message}", markup=False, soft_wrap=True)
         return []
-
-
-def prepare_folder(folder: Path) -> None:
-    """Create a folder and check, before any work, that it is writable.
-
-    Raises:
-        OutputError: The path is a file, or the folder cannot be written.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / f".hplan-{secrets.token_hex(8)}"
-        with defer_signals():
-            probe.touch()
-            probe.unlink()
-    except FileExistsError as error:
-        raise OutputError(folder, "it is a file, not a folder") from error
-    except OSError as error:
-        raise OutputError(folder, error.strerror or str(error)) from error
 
 
 def _runs(process: int) -> bool:

@@ -12,11 +12,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.apps.cli.job_folder import prepare_folder, write_figure
+from hplan.apps.cli.job_folder import write_figure
 from hplan.apps.cli.options import OUT, add_shared, command_parser
 from hplan.apps.cli.own_files import STUDY_REPORT, WRITTEN, check_own, digests_of
 from hplan.apps.cli.terminal import escape, facts_table, number_table, percent, progress_line, unpicked_facts
 from hplan.base.arguments import instance
+from hplan.base.files import prepare_folder
 from hplan.base.interrupts import INTERRUPTS, defer_signals, signal_of
 from hplan.base.lazy_import import extra
 from hplan.errors import InputError

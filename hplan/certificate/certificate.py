@@ -280,6 +280,7 @@ def certify(
     one_of("goal_contact", goal_contact, get_args(GoalContact))
     number("begin_s", begin_s, "a finite number of seconds")
     check_trajectory_joints(trajectory, robot)
+    robot = robot.about(0.5 * (trajectory.position.min(axis=0) + trajectory.position.max(axis=0)))
     if any(robot.slides) and not trajectory.slides:
         joint = robot.joint_names[robot.slides.index(True)]
         missing = f"the trajectory does not say which of its joints are in metres, and {joint!r} is prismatic"

@@ -124,7 +124,10 @@ class _ReachTask:
         held = robot.locked_mask(locked)
         if locked and start is None:
             raise OptionError("start", None, "the configuration whose values the locked joints keep")
-        return cls(robot, target, window, None if start is None else robot.check_configuration(start, "start"), held)
+        if start is None:
+            return cls(robot, target, window, None, held)
+        robot = robot.about(start)
+        return cls(robot, target, window, robot.check_configuration(start, "start"), held)
 
     @cached_property
     def free(self) -> tuple[int, ...]:

@@ -70,11 +70,12 @@ class Robot(Record):
         torque_limit: (dof,) [N m].
         jerk_limit: (dof,) [rad/s^3]; None if the limits file has no jerk limits.
         continuous: (dof,) True for a joint without limits in the URDF, or with limits beyond 1e3 rad on both sides; its
-            range is a whole turn to either side.
+            range is a whole turn to either side, about where it is (`about`).
         held: Values of the URDF's fixed and held joints by name [rad, m]; None for joints of several coordinates.
         urdf_text: URDF that the models were built from, if it differs from the file's content.
         may_touch: Pairs of links that may touch, with the reason: SRDF, Drake filter groups, or neighbouring links.
         owners: Arm of each link by link name, for several arms joined to one robot; empty for a single robot.
+        unturned: The robot as it was loaded, if the ranges of continuous joints are about a configuration (`about`).
         shape_faults: Drawn links whose collision shapes are missing or do not fit (`hplan.robot.drawn_links`).
     """
 
@@ -97,6 +98,7 @@ class Robot(Record):
     may_touch: tuple[tuple[str, str, str], ...] = ()
     owners: Mapping[str, str] = field(default_factory=dict)
     shape_faults: tuple[ShapeFault, ...] = ()
+    unturned: Robot | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
         joints = ", ".join(self.joint_names)
@@ -237,6 +239,46 @@ class Robot(Record):
                 f"locked_joints names {unknown[0]!r}; the robot has {', '.join(self.joint_names)}", joint=unknown[0]
             )
         return np.array([name in names for name in self.joint_names], dtype=np.bool_)
+
+    @property
+    def loaded(self) -> Robot:
+        """The robot as it was loaded: with the ranges of continuous joints about zero.
+
+        For values that whole turns of joints do not change, and that all of these robots share.
+        """
+        return self.unturned or self
+
+    def about(self, q: ArrayLike) -> Robot:
+        """Return the robot with the ranges of continuous joints shifted by whole turns to those about a configuration.
+
+        A continuous joint reports any angle, for example 6.4 rad after a day of work. Its range is a whole turn to
+        either side of the whole turn nearest to it. The robot caches the result; it has the same digest.
+
+        Args:
+            q: (dof,) configuration. An invalid one leaves the robot unchanged; `check_configuration` rejects it.
+
+        Examples:
+            >>> from hplan import load_robot
+            >>> robot = load_robot()
+            >>> robot.about([7.0, 0.0, 0.0, 0.0]) is robot  # its yaw has limits
+            True
+        """
+        loaded = self.loaded
+        try:
+            values = np.array(as_array(q))
+        except ValueError:
+            return loaded
+        usable = values.shape == (self.dof,) and values.dtype.kind in "fiu" and np.isfinite(values).all()
+        if not (usable and self.continuous.any() and (np.abs(values) <= FARTHEST_JOINT).all()):
+            return loaded
+        turns = np.where(self.continuous, np.rint(np.round(values / math.tau, 9)), 0.0)
+        return loaded.cache(("about", *turns.tolist()), lambda: loaded._turned(turns)) if turns.any() else loaded
+
+    def _turned(self, turns: FloatArray) -> Robot:
+        """The robot with the ranges of its joints shifted by (dof,) whole turns."""
+        lower, upper, model = self.lower + math.tau * turns, self.upper + math.tau * turns, self.model.copy()
+        model.lowerPositionLimit, model.upperPositionLimit = lower, upper
+        return replace(self, model=model, lower=readonly(lower), upper=readonly(upper), unturned=self)
 
     def turned_near(self, q: ArrayLike, start: ArrayLike) -> ArrayLike:
         """Shift continuous joints by whole turns to the values nearest a start.

@@ -353,6 +353,7 @@ def _joints(robot: Robot, scene: Scene, which: str, end: FloatArray) -> FloatArr
     joints = robot.joints_of(scene.start if which == "start" else scene.goal, which)
     if joints is None:
         return None
+    robot = robot.about(end)
     return robot.check_configuration(robot.turned_near(joints, end) if which == "goal" else joints, which)
 
 

@@ -5,12 +5,11 @@ Arms of example-robot-data are included if it is installed.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from toy_urdf import SIX_AXIS_LIMITS, seven_axis_arm, six_axis_arm, six_axis_picker
 
-from hplan.errors import InputError
+from hplan.errors import InputError, RobotFamilyError
+from hplan.planar.family_reader import FAMILY
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Fruit
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
@@ -93,7 +92,8 @@ def loaded_arm(name: str, folders: pytest.TempPathFactory) -> Robot:
             _KNOWN[name] = load_robot(path)
         elif name == "capsules":
             # The harvester as any other arm: tubes with balls at their ends.
-            _KNOWN[name] = replace(load_robot(), planar=None, beyond_family=("robot", "to be of no family"))
+            _KNOWN[name] = robot = load_robot()
+            robot.cache(FAMILY, lambda: RobotFamilyError(robot.name, "robot", "to be of no family"))
         elif name in ("lift", "seven"):
             _KNOWN[name] = load_robot(LIFT if name == "lift" else seven_axis_arm())
         else:

@@ -17,8 +17,9 @@ import pinocchio as pin
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import solid_shape
 from hplan.collision.collision_bodies import collision_bodies
+from hplan.planar.family_reader import family_of
+from hplan.planar.self_contact import SelfContact
 from hplan.robot.model import Robot, load_robot
-from hplan.robot.self_contact import SelfContact
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box, Capsule, Sphere
 from hplan.trajectory.trajectory import Trajectory
@@ -93,7 +94,7 @@ def load_variant(name: str, folder: Path) -> Robot:
     table = ", ".join(f"{joint}: 5" for joint in names)
     (folder / "variant.limits.yaml").write_text(f"format: hplan-limits/1\nacceleration_rad_s2: {{{table}}}\n")
     robot = load_robot(path)
-    np.testing.assert_allclose(robot.arm.half_widths, widths, rtol=1e-12)
+    np.testing.assert_allclose(family_of(robot).arm.half_widths, widths, rtol=1e-12)
     links = {body.name for body in collision_bodies(robot)}
     robot = replace(robot, may_touch=tuple((*pair, "a test") for pair in itertools.combinations(sorted(links), 2)))
     robot.cache("self_contact", lambda: lambda *_: SelfContact())  # for any tracking error and clearance
@@ -119,7 +120,7 @@ def axis_points(robot: Robot, q: np.ndarray) -> np.ndarray:
     """(links + 1, 3) joint positions and the tool's, as Pinocchio places them."""
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, np.asarray(q, dtype=float))
-    first = 2 if robot.has_yaw else 1
+    first = 2 if family_of(robot).has_yaw else 1
     joints = [data.oMi[j].translation.copy() for j in range(first, robot.model.njoints)]
     return np.array([*joints, data.oMf[robot.model.getFrameId(robot.tool_frame)].translation])
 
@@ -128,7 +129,7 @@ def link_axes(robot: Robot, q: np.ndarray) -> np.ndarray:
     """(links, 2, 3) both ends of each link's axis, along x in its frame, and at the y of its first collision shape."""
     points, data = axis_points(robot, q), robot.model.createData()
     pin.forwardKinematics(robot.model, data, np.asarray(q, dtype=float))
-    first, ends = robot.model.njoints - robot.arm.link_count, []
+    first, ends = robot.model.njoints - family_of(robot).arm.link_count, []
     for joint, tip in enumerate(points[1:], start=first):
         shape = next(g for g in robot.collision_model.geometryObjects if g.parentJoint == joint)
         place, y = data.oMi[joint], shape.placement.translation[1]
@@ -179,8 +180,8 @@ def coal_distances(robot: Robot, q: np.ndarray, obstacles: Sequence[Sphere | Cap
     """(links, obstacles) signed distances of capsule links placed by Pinocchio."""
     points = link_axes(robot, q)
     solids = [_placed(obstacle) for obstacle in obstacles]
-    table = np.empty((robot.arm.link_count, len(solids)))
-    for k, half_width in enumerate(robot.arm.half_widths):
+    table = np.empty((family_of(robot).arm.link_count, len(solids)))
+    for k, half_width in enumerate(family_of(robot).arm.half_widths):
         capsule, place = upright_capsule(*points[k], half_width)
         for s, (solid, at) in enumerate(solids):
             table[k, s] = coal.distance(capsule, place, solid, at, coal.DistanceRequest(), coal.DistanceResult())
@@ -196,7 +197,8 @@ def least_by_coal(
     solids = [(obstacle.name, solid_shape(obstacle)) for obstacle in scene.obstacles]
     for number, q in enumerate(trajectory.positions(clock)):
         links = [
-            upright_capsule(*axis, half) for axis, half in zip(link_axes(robot, q), robot.arm.half_widths, strict=True)
+            upright_capsule(*axis, half)
+            for axis, half in zip(link_axes(robot, q), family_of(robot).arm.half_widths, strict=True)
         ]
         for name, solid in solids:
             there = solid.placement

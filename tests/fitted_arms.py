@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 from planned import straight
 
+from hplan.planar.family_reader import family_of, is_planar
 from hplan.robot.family.members import write_robot
 from hplan.robot.family.spec import ArmSpec
 from hplan.robot.model import Robot, load_robot
@@ -125,7 +126,7 @@ class Bodies:
             (geometry.parentJoint, robot.model.frames[geometry.parentFrame].name, _convex(geometry), geometry.placement)
             for geometry in robot.collision_model.geometryObjects
         ]
-        self.moving = 2 if robot.planar is not None and robot.has_yaw else 1
+        self.moving = 2 if is_planar(robot) and family_of(robot).has_yaw else 1
         pairs = [
             (a, b)
             for a, b in itertools.combinations(range(len(self.shapes)), 2)

@@ -10,6 +10,7 @@ import numpy as np
 from hplan.base.arrays import BoolArray, FloatArray, readonly
 from hplan.collision.coal_scene import CoalScene
 from hplan.geometry.polygon import convex_hull
+from hplan.planar.family_reader import family_of
 from hplan.planar.grid.grid import Grid
 from hplan.planar.grid.sections import ArmSections, balls_only
 from hplan.planning.options import LinkModel
@@ -18,7 +19,7 @@ from hplan.planning.options import LinkModel
 def sampled_occupancy(checker: CoalScene, grid: Grid) -> BoolArray:
     """Mask of a grid over the planar joints, at yaw 0: True where coal finds some link in contact with an obstacle."""
     nodes = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
-    q = np.column_stack([np.zeros(len(nodes)), nodes]) if checker.robot.has_yaw else nodes
+    q = np.column_stack([np.zeros(len(nodes)), nodes]) if family_of(checker.robot).has_yaw else nodes
     return checker.in_collision(q).reshape(grid.shape)
 
 

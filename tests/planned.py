@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from hplan.base.arrays import FloatArray
 from hplan.certificate.certificate import LIMIT_TOLERANCE
 from hplan.collision.coal_scene import CoalScene
+from hplan.planar.family_reader import family_of
 from hplan.planning.options import PlanOptions
 from hplan.planning.problem import Problem
 from hplan.planning.result import PlanResult
@@ -147,7 +148,7 @@ def assert_grasps(robot: Robot, scene: Scene, result: PlanResult) -> None:
     heading = last_link(robot, grasp.goal)
     told = math.radians(result.report["grasp"]["approach_deg"])
     target = scene.goal.position if name is None else next(f.center for f in scene.fruits if f.name == name)
-    ahead, up, _ = robot.plane_at(robot.yaw_of(grasp.goal))[1]
+    ahead, up, _ = family_of(robot).plane_at(family_of(robot).yaw_of(grasp.goal))[1]
     away = np.array(target) - robot.model.jointPlacements[1].translation
     if away @ ahead < 0.0:  # behind the base: outward is the other way
         ahead = -ahead
@@ -186,8 +187,8 @@ def assert_grasps(robot: Robot, scene: Scene, result: PlanResult) -> None:
 
 def last_link(robot: Robot, q: np.ndarray) -> np.ndarray:
     """Direction of the last link in `base_link`."""
-    points = robot.arm.joint_points(np.asarray(q)[robot.arm_slice])[-2:]
-    _, axes = robot.plane_at(robot.yaw_of(q))
+    points = family_of(robot).arm.joint_points(np.asarray(q)[family_of(robot).arm_slice])[-2:]
+    _, axes = family_of(robot).plane_at(family_of(robot).yaw_of(q))
     along = (points[1] - points[0]) @ axes[:2]
     return np.asarray(along / np.linalg.norm(along))
 

@@ -431,9 +431,6 @@ CASES: dict[str, Case] = {
         a_trajectory().positions, bad={"clock": (*NO_MATRIX[:3], [NAN], [[0.0]])}, clock=[0.0]
     ),
     "Robot.tool_positions": case(ROBOT.tool_positions, bad={"q": (None, "1234", 1.0)}, q=[0.0] * 4),
-    "Robot.yaw_of": case(ROBOT.yaw_of, bad={"q": (None, "0000", 1.0)}, q=[0.0] * 4),
-    "Robot.plane_at": case(ROBOT.plane_at, "yaw:number", yaw=0.0),
-    "Robot.sway": case(ROBOT.sway, bad={"deviation": (None, "0.1", NAN)}, deviation=0.1),
     "Playback.from_result": case(Playback.from_result, result=None),
     "Playback": case(Playback, "begin_s:number", {"picked": (None, [], {1: 0.0}), "phases": (None, 1.0, [None])}),
     "write_page": case(write_page, "path:path", playback=Playback(a_trajectory()), path="a.html"),

@@ -65,11 +65,11 @@ from hplan.certificate.task_check import task_violations
 from hplan.certificate.tilted_base import use_on_track
 from hplan.certificate.touch_risk import TouchRisk, touch_risk
 from hplan.certificate.turning_in_place import clearance_in_place
+from hplan.collision.arm_pairs import BASE_DEPTH
 from hplan.collision.coal_scene import CoalScene, Contact, OwnContact, base_contacts
 from hplan.collision.far_obstacles import warn_of_far_obstacles
 from hplan.collision.giving_way import check_yield_links
 from hplan.errors import InputError, MovingObstacleError, OptionError
-from hplan.robot.base_shapes import BASE_DEPTH
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.limits import LEAST_RISK
@@ -280,6 +280,7 @@ def certify(
     one_of("goal_contact", goal_contact, get_args(GoalContact))
     number("begin_s", begin_s, "a finite number of seconds")
     check_trajectory_joints(trajectory, robot)
+    robot = robot.about(0.5 * (trajectory.position.min(axis=0) + trajectory.position.max(axis=0)))
     if any(robot.slides) and not trajectory.slides:
         joint = robot.joint_names[robot.slides.index(True)]
         missing = f"the trajectory does not say which of its joints are in metres, and {joint!r} is prismatic"

@@ -84,7 +84,7 @@ def check(
     checker = _checker(robot, scene, sigmas)
     found = [_looked_at(checker, row, scene.clearance, time_s) for row in rows]
     names = ["q" if not shape else f"q[{', '.join(map(str, index))}]" for index in np.ndindex(shape)]
-    faults = [robot.limit_fault(row, name) for row, name in zip(rows, names, strict=True)]
+    faults = [robot.about(row).limit_fault(row, name) for row, name in zip(rows, names, strict=True)]
     return ConfigurationCheck(
         readonly(
             [valid and fault is None for (valid, _, _), fault in zip(found, faults, strict=True)], np.bool_

@@ -113,6 +113,7 @@ def _iterate_tracks(scene: Scene) -> Iterator[tuple[str, str, Track | Sway]]:
 @made_once
 def robot_digest(robot: Robot) -> str:
     """Digest of a robot, cached."""
+    robot = robot.loaded
     found, model = _Digest("hplan-robot/2"), robot.model
     found.add_text(robot.name, robot.tool_frame, *robot.joint_names, *itertools.chain(*robot.may_touch))
     for frame in model.frames:  # a goal may name any of them

@@ -14,11 +14,10 @@ import pinocchio as pin
 
 from hplan.base.arrays import FloatArray
 from hplan.certificate.clearance_proof import MOST_TRAVEL, SMALLEST_STEP, prove_clearance
-from hplan.collision.arm_pairs import base_bodies
+from hplan.collision.arm_pairs import BASE_DEPTH, base_bodies
 from hplan.collision.coal_cloud import distance_from
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.moving_solids import MovingSolids
-from hplan.robot.base_shapes import BASE_DEPTH
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import Sigmas, Solid, growths

@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from hplan.certificate.clearance_proof import Proof
+from hplan.collision.arm_pairs import BASE_DEPTH
 from hplan.collision.coal_scene import CoalScene
-from hplan.robot.base_shapes import BASE_DEPTH
 
 #: Reason for not checking a body and an obstacle.
 _SUPPORTS: Final = f"it supports the link: wherever its joint is, they are within {1e3 * BASE_DEPTH:g} mm"

@@ -42,8 +42,6 @@ def tool_bounds(
 ) -> ToolBounds:
     """Bound the tool's distance from its line and its tilt.
 
-    For a general (non-planar) arm.
-
     Args:
         direction: (3,) unit vector in the tool frame.
         upright: (3,) unit vector in `base_link`; the tilt is measured from it.

@@ -56,8 +56,8 @@ from hplan.collision.flat_bodies import joint_table
 from hplan.collision.placed_bodies import place_joints
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.convex_distance import SEPARATING, WORK, Wanted, core_distance
+from hplan.geometry.shape_outline import outline
 from hplan.geometry.sweep import STILL
-from hplan.robot.family_reader import outline
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import largest_deviation

@@ -29,9 +29,12 @@ from hplan.collision.geometry_pairs import ArmPairs
 from hplan.collision.reach import carriers, is_moved, joint_axis, joints_between, reach_of
 from hplan.collision.touching_pairs import BEYOND, RIGID, SelfPairs, self_pairs
 from hplan.errors import RobotFileError
-from hplan.robot.base_shapes import BASE_DEPTH, is_always_within
+from hplan.geometry.lipschitz import is_always_within
 from hplan.robot.model import Robot, made_once
 from hplan.scene.obstacles import Solid
+
+#: Permitted penetration between a body and the body that carries it [m].
+BASE_DEPTH: Final = 1e-3
 
 #: Remark on a pair of neighbours whose parts are checked.
 _PARTS: Final = "their parts beyond the joint must not touch"

@@ -1,8 +1,7 @@
 """Clearance of the arm, and motions verified collision-free over continuous time.
 
-The moving bodies are the arm's bodies (for a planar arm the capsules of its links), followed by its self-collision
-pairs (`hplan.collision.flat_bodies`). A motion is verified collision-free by bounds on the motion of the bodies
-(`hplan.collision.body_motions`).
+The moving bodies are the arm's bodies, followed by its self-collision pairs (`hplan.collision.flat_bodies`). A motion
+is verified collision-free by bounds on the motion of the bodies (`hplan.collision.body_motions`).
 """
 
 from __future__ import annotations

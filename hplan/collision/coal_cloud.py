@@ -24,7 +24,7 @@ from hplan.base.kernels import kernel
 from hplan.collision.coal_shapes import beyond_geometry, capsule_shapes, solid_shape, triangle_tree
 from hplan.geometry.cloud import LEAF, Cloud
 from hplan.geometry.cloud_tree import tree_of
-from hplan.robot.base_shapes import coal_distance
+from hplan.geometry.shape_outline import coal_distance
 from hplan.scene.obstacles import Capsule, Solid
 
 #: Size of the triangle that represents a point [m]. For triangles degenerated to points, coal's distance from a ball is

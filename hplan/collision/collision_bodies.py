@@ -115,7 +115,8 @@ def reuse_bodies(robot: Robot, before: Robot) -> None:
 
 
 def _build_bodies(robot: Robot) -> list[tuple[CollisionBody, pin.GeometryObject]]:
-    return robot.cache("collision_bodies", lambda: list(_bodies_from(robot, 0)))
+    loaded = robot.loaded
+    return loaded.cache("collision_bodies", lambda: list(_bodies_from(loaded, 0)))
 
 
 def _bodies_from(robot: Robot, first: int) -> Iterator[tuple[CollisionBody, pin.GeometryObject]]:

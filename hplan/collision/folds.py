@@ -34,7 +34,7 @@ from hplan.collision.reach import joint_axis
 from hplan.collision.touching_pairs import BEARING, SLACK, one_joint, rounded_up, self_pairs
 from hplan.geometry.coal_hull import convex_hull_shape
 from hplan.geometry.hull import hull_of
-from hplan.robot.family_reader import outline
+from hplan.geometry.shape_outline import outline
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Capsule
 

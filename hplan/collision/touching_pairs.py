@@ -12,7 +12,7 @@ Within **one arm** all pairs are checked, except
 - bodies that always touch: proved by bisection over the joints between them (`_always_touch`), so that no
   configuration could pass a check;
 - bodies on both sides of one joint that cannot touch at any value of it: proved by bisection
-  (`hplan.robot.base_shapes.may_reach`);
+  (`hplan.geometry.lipschitz.may_reach`);
 - bodies on both sides of one joint that are never farther apart than `BEARING`, also proved. They are **assumed** to
   touch by construction: convex shapes of bearings overlap.
 
@@ -37,7 +37,8 @@ import pinocchio as pin
 from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
 from hplan.collision.reach import carriers, joint_axis, joints_between, reach_of
-from hplan.robot.base_shapes import coal_distance, is_always_within, may_reach
+from hplan.geometry.lipschitz import is_always_within, may_reach
+from hplan.geometry.shape_outline import coal_distance
 from hplan.robot.model import Robot, made_once
 
 #: Maximum distance of the two sides of a bearing; also used for bodies with one link between them [m].

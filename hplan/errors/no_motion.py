@@ -75,7 +75,7 @@ class ApproachError(HplanError):
         standoff_m: Required length [m].
         largest_standoff_m: Maximum length found [m].
         reason: `joint_limit` (see `joint`), `elbow` (too close to straight or folded), `joints` (fewer than three free
-            joints) or, for a general (non-planar) arm, `line` (the tool cannot retract that far).
+            joints) or `line` (the tool cannot retract that far).
         joint: The joint at its limit; None for the other reasons.
 
     Examples:

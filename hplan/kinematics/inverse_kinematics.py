@@ -67,6 +67,7 @@ def inverse_kinematics(
         OptionError: An option is invalid.
     """
     middle = 0.5 * (robot.lower + robot.upper)
+    robot = robot.about(middle if start is None else start)
     begin = robot.check_configuration(middle if start is None else start, "start")
     count = check_integer("seeds", seeds, 1, MOST_SEEDS)
     free = truth("free_turn", free_turn)

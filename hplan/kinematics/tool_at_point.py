@@ -68,6 +68,7 @@ def tool_at_point(
     place, window = numbers("position", position, (3,)), Window.from_degrees(approach_deg)
     directions = check_integer("count", count, 1, MOST_SEEDS)
     middle = 0.5 * (robot.lower + robot.upper)
+    robot = robot.about(middle if start is None else start)
     begin = robot.check_configuration(middle if start is None else start, "start")
     keeps = robot.locked_mask(list_of("locked", locked, str, "names"))
     _check_reach(robot, place)

@@ -592,7 +592,8 @@ class Planner:
         """
         if all(item is not self._closing for item in scene.obstacles):
             return
-        start = self.robot.check_configuration(self.robot.joints_of(scene.start, "start"), "start")
+        given = self.robot.joints_of(scene.start, "start")
+        start = self.robot.about(given).check_configuration(given, "start")
         if self._space is None or not self._space.holds(arm_solids(self.robot, start), self._known_since_s):
             raise InputError("start: the arm is in unseen space, and unknown space is solid: give a frame with the "
                 "joint positions of the arm there", option="start")  # fmt: skip
@@ -683,7 +684,7 @@ class Planner:
         pose[:3, :3], pose[:3, 3] = rotation, position
         if carried_by is None:
             return None, pose
-        joints = self.robot.check_configuration(numbers("views", view, (self.robot.dof,)), "views")
+        joints = self.robot.about(view).check_configuration(numbers("views", view, (self.robot.dof,)), "views")
         return joints, self.robot.forward_kinematics(joints, carried_by) @ pose
 
     def aim(self, *, start: Start | None = None, goal: Goal | None = None) -> None:

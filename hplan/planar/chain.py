@@ -28,7 +28,7 @@ from hplan.base import ties
 from hplan.base.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Record
 from hplan.base.elementary import arccos, arctan2, argument, modulus
 from hplan.kinematics.approach_angles import WINDOW_TOLERANCE, Window, angle_above
-from hplan.robot.planar_family import PlanarArm
+from hplan.planar.planar_family import PlanarArm
 
 #: A joint this far beyond its limit is clamped to the limit [rad].
 ANGLE_TOLERANCE = 1e-10

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from hplan.planar.effort import EFFORTS
+from hplan.planar.family_reader import is_planar
 from hplan.planar.goal_sampler import configurations_at_point
 from hplan.planar.joint_ranges import joint_ranges
 from hplan.planar.no_path_proof import describe_proof, prove_infeasible
@@ -22,11 +23,6 @@ from hplan.robot.model import Robot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-def is_planar(robot: Robot) -> bool:
-    """True if a robot belongs to the planar family."""
-    return robot.planar is not None
 
 
 def check_cspace(robot: Robot, yaw: float | None) -> None:

@@ -19,6 +19,7 @@ from hplan.base.arrays import FloatArray, frozen
 from hplan.errors import UnreachableError
 from hplan.kinematics.approach_angles import Candidates, Window
 from hplan.kinematics.tool_at_point import approach_angles, tool_at_point
+from hplan.planar.family_reader import family_of
 from hplan.planar.inverse_kinematics import reach
 from hplan.robot.model import Robot
 
@@ -54,7 +55,7 @@ def configurations_at_point(
     if window is None:
         found = reach(robot, position, count=count, start=start, locked=locked).configurations
         return Candidates(found, frozen(approach_angles(robot, found, place)))
-    if abs(np.cross(*robot.plane_axes)[2]) > _VERTICAL:
+    if abs(np.cross(*family_of(robot).plane_axes)[2]) > _VERTICAL:
         # In a tilted plane an interval of approach angles is none of angles in the plane.
         return tool_at_point(robot, position, approach_deg=approach_deg, count=count, start=start, locked=locked)
     low = math.degrees(window.low)

@@ -12,6 +12,7 @@ import numpy as np
 
 from hplan.base.arrays import IntArray
 from hplan.errors import OptionError
+from hplan.planar.family_reader import family_of
 from hplan.planar.grid.grid import Grid, Occupancy
 from hplan.planar.grid.occupancy import occupancy
 from hplan.planar.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
@@ -47,7 +48,7 @@ class GridAttempt:
 
 def base_turns(problem: Problem) -> bool:
     """True if the base has a yaw joint that may move."""
-    return problem.robot.has_yaw and 0 in problem.movable
+    return family_of(problem.robot).has_yaw and 0 in problem.movable
 
 
 def grid_axes(problem: Problem) -> IntArray:
@@ -55,7 +56,7 @@ def grid_axes(problem: Problem) -> IntArray:
 
     The planar joints, then the yaw if it may turn.
     """
-    planar = np.arange(problem.robot.dof)[problem.robot.arm_slice]
+    planar = np.arange(problem.robot.dof)[family_of(problem.robot).arm_slice]
     return np.append(planar, 0) if base_turns(problem) else planar
 
 
@@ -86,7 +87,7 @@ def count_nodes(problem: Problem, attempt: GridAttempt) -> float:
     The number may exceed every limit.
     """
     step = math.radians(step_deg(problem, attempt))
-    planar = problem.robot.arm_slice
+    planar = family_of(problem.robot).arm_slice
     lower, upper = problem.lower[0], problem.upper[0]
     count = math.prod((1.0 + (upper[planar] - lower[planar]) / step).tolist())
     if base_turns(problem):
@@ -125,7 +126,7 @@ def planar_grid(problem: Problem, attempt: GridAttempt) -> Grid:
     Raises:
         OptionError: The step gives no valid grid.
     """
-    planar = problem.robot.arm_slice
+    planar = family_of(problem.robot).arm_slice
     try:
         return Grid.from_limits(
             problem.lower[0][planar], problem.upper[0][planar], np.radians(step_deg(problem, attempt))
@@ -139,11 +140,11 @@ def prepare_world(world: World, more: float = 0.0) -> PreparedObstacles:
 
     They are grown by their clearance plus `more` [m].
     """
-    linked, arm = world.linked, world.robot.arm_slice
+    linked, arm = world.linked, family_of(world.robot).arm_slice
     links = None if linked.joints is None else linked.joints[:, arm]
     if world.touched:
         touched = linked.name_mask(world.touched)
-        everything = np.ones((len(touched), world.robot.arm.link_count), dtype=np.bool_)
+        everything = np.ones((len(touched), family_of(world.robot).arm.link_count), dtype=np.bool_)
         links = everything if links is None else links.copy()
         links[touched, -1] = False
     return prepare_obstacles(
@@ -173,8 +174,8 @@ def grid_occupancy(problem: Problem, attempt: GridAttempt) -> Occupancy:
     with stage("cspace"):
         planar = planar_grid(problem, attempt)
         if not base_turns(problem):
-            sections = obstacle_sections(problem, robot.yaw_of(problem.start), attempt.growth_m)
-            return occupancy(robot.arm, sections, planar)
+            sections = obstacle_sections(problem, family_of(robot).yaw_of(problem.start), attempt.growth_m)
+            return occupancy(family_of(robot).arm, sections, planar)
         yaws = yaw_axis(
             problem.start[0], problem.goal[0], math.radians(step_deg(problem, attempt)), problem.lower[0][0],
             problem.upper[0][0], math.radians(attempt.yaw_range_deg),

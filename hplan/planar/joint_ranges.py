@@ -18,6 +18,7 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.collision.coal_scene import CoalScene, Contact
+from hplan.planar.family_reader import family_of
 from hplan.planning.joint_ranges import ROUNDING, JointRanges, Wall
 
 
@@ -62,7 +63,9 @@ def _turns_that_decide(scene: CoalScene) -> Iterator[_Turn]:
     decided = np.repeat(np.arange(len(counts)), np.repeat([scene.own_first, 1], [alone, len(counts) - alone]))
     one = counts.sum(axis=1) == 1.0
     # The search trees handle the obstacles of the first link.
-    one[: len(scene.link_shapes)] &= [scene.robot.has_yaw and shape.parentJoint == 1 for shape in scene.link_shapes]
+    one[: len(scene.link_shapes)] &= [
+        family_of(scene.robot).has_yaw and shape.parentJoint == 1 for shape in scene.link_shapes
+    ]
     for joint in np.flatnonzero(counts[one].any(axis=0)).tolist():
         pairs = np.flatnonzero((one & (counts[:, joint] > 0.0))[decided])
         if len(pairs):

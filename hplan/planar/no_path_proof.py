@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from hplan.base.arrays import IntArray, WordArray
 from hplan.base.deadline import TimeIsUpError
 from hplan.errors import CertificationError, NoPathError
+from hplan.planar.family_reader import family_of
 from hplan.planar.grid.blockers import blockers
 from hplan.planar.grid.flood import bits_of, flood_from, has_bit, slice_sizes
 from hplan.planar.grid.grid import Grid
@@ -109,7 +110,7 @@ class EnclosedError(UnexplainedNoPathError):
         For a region over yaws, the obstacles are those at the yaw with the largest slice.
         """
         problem, grid, reached = self._problem, region.grid, region.reached
-        yaw = problem.robot.yaw_of(problem.start)
+        yaw = family_of(problem.robot).yaw_of(problem.start)
         if base_turns(problem):
             layer = int(slice_sizes(reached).argmax())
             yaw = float(grid.lower[-1] + layer * grid.step[-1])
@@ -118,7 +119,7 @@ class EnclosedError(UnexplainedNoPathError):
             reached = inside.reshape(grid.shape)
         elif reached.dtype != np.bool_:
             reached = bits_of(reached)[:, : grid.shape[-1]].reshape(grid.shape)
-        arm = problem.robot.arm
+        arm = family_of(problem.robot).arm
         walls = blockers(arm, obstacle_sections(problem, yaw, self._attempt.growth_m), grid, reached)
         message = self.message
         if walls:

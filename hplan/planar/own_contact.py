@@ -15,8 +15,9 @@ import pinocchio as pin
 from hplan.base.arrays import readonly
 from hplan.collision.collision_bodies import CollisionBody, collision_bodies
 from hplan.collision.touching_pairs import required_distances, self_pairs
+from hplan.planar.family_reader import family_of, with_planar_arm
+from hplan.planar.self_contact import SelfContact, self_contact
 from hplan.robot.model import Robot, made_once
-from hplan.robot.self_contact import SelfContact, self_contact
 
 #: Tolerance of equal capsules [m].
 _SAME_CAPSULE: Final = 1e-7
@@ -33,7 +34,7 @@ def checked_contact(robot: Robot, *, deviation: float, clearance: float) -> Self
     contact, pairs = self_contact(robot, deviation=deviation, clearance=clearance), self_pairs(robot)
     if not (contact.links or contact.bodies):
         return contact
-    bodies, first = collision_bodies(robot), robot.arm_slice.start
+    bodies, first = collision_bodies(robot), family_of(robot).arm_slice.start
     required = required_distances(pairs.farthest, clearance) >= clearance
     checked = [pair for pair, is_required in zip(pairs.checked, required.tolist(), strict=True) if is_required]
     of_joints = {frozenset((bodies[i].joint, bodies[j].joint)) for i, j in checked}
@@ -62,24 +63,28 @@ def within_bodies(robot: Robot) -> Robot | None:
     Each link has the widest capsule that lies along its axis and is one of its bodies. None if a link has no such body:
     then nothing that the C-space excludes is proved.
     """
-    bodies, arm = collision_bodies(robot), robot.arm
+    bodies, arm = collision_bodies(robot), family_of(robot).arm
     radii = [[body.rounding for body in bodies if _is_along(robot, link, body)] for link in range(arm.link_count)]
     if not all(radii):
         return None
     widths = np.array([max(radius) for radius in radii])
     if (np.abs(widths - arm.half_widths) <= _SAME_CAPSULE).all():
         return robot
-    return robot.with_arm(replace(arm, half_widths=readonly(np.minimum(widths, arm.half_widths))))
+    return with_planar_arm(robot, replace(arm, half_widths=readonly(np.minimum(widths, arm.half_widths))))
 
 
 def _is_along(robot: Robot, link: int, body: CollisionBody) -> bool:
     """True if a body is a capsule from end to end of a link's axis."""
-    if body.kind != "capsule" or body.joint != robot.arm_slice.start + link:
+    if body.kind != "capsule" or body.joint != family_of(robot).arm_slice.start + link:
         return False
-    arm, plane = robot.arm, np.cross(*robot.plane_axes)
+    arm, plane = family_of(robot).arm, np.cross(*family_of(robot).plane_axes)
     data, q = robot.model.createData(), np.zeros(robot.dof)
     pin.forwardKinematics(robot.model, data, q)
-    points = robot.plane_origin + arm.joint_points(q[robot.arm_slice]) @ robot.plane_axes + arm.lateral[link] * plane
+    points = (
+        family_of(robot).plane_origin
+        + arm.joint_points(q[family_of(robot).arm_slice]) @ family_of(robot).plane_axes
+        + arm.lateral[link] * plane
+    )
     place = data.oMi[body.joint + 1]
     core = body.core @ place.rotation.T + place.translation
     ends = points[link : link + 2]

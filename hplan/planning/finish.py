@@ -256,6 +256,9 @@ def given_path(robot: Robot, waypoints: ArrayLike) -> GivenPath:
     points = numbers("waypoints", waypoints, (None, robot.dof))
     if len(points) < 2:
         raise InputError(f"waypoints: expected two or more, got {len(points)}", count=len(points))
+    # Paths of other planners have angles of continuous joints in (-pi, pi].
+    points = np.where(robot.continuous, np.unwrap(points, axis=0), points)
+    robot = robot.about(points[0])
     points = np.array([robot.check_configuration(q, f"waypoint {number + 1}") for number, q in enumerate(points)])
     kept = [0]
     for number in range(1, len(points)):

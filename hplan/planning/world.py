@@ -19,13 +19,12 @@ from hplan.base import ties
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import check_deadline
 from hplan.certificate.motion_bound import pair_sways
-from hplan.collision.arm_pairs import base_radius
+from hplan.collision.arm_pairs import BASE_DEPTH, base_radius
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene, OwnContact, base_contacts
 from hplan.collision.giving_way import LinkedSolids
 from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.planning.options import PlanOptions
-from hplan.robot.base_shapes import BASE_DEPTH
 from hplan.robot.files import neighbouring_links
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel, largest_fraction, name_margin

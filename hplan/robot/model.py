@@ -1,8 +1,7 @@
 """Robot model: a tree of revolute, continuous and prismatic joints.
 
 Pinocchio reads joints, axes, bodies and limits from the files. Acceleration and jerk limits, which URDF cannot express,
-are read from a limits YAML in the same folder. An arm with an optional yaw and parallel revolute joints in one plane
-belongs to the planar family (`Robot.planar`), which has a closed-form C-space and closed-form inverse kinematics.
+are read from a limits YAML in the same folder.
 """
 
 from __future__ import annotations
@@ -28,21 +27,18 @@ from hplan.errors import (
     InputError,
     JointLimitError,
     MissingVisualWarning,
-    RobotFamilyError,
     RobotFileError,
     RobotFileWarning,
     UncoveredLinkWarning,
 )
 from hplan.robot.drawn_links import ShapeFault, describe_shape_faults, find_shape_faults
 from hplan.robot.dynamics import InverseDynamics, joints_that_slide
-from hplan.robot.family_reader import check_joints, read_family
 from hplan.robot.files import build_models, filtered_links, neighbouring_links, read_srdf, robot_files
 from hplan.robot.limits_file import default_limits, find_limits, limits_file
 from hplan.robot.mesh_files import MeshFinder
-from hplan.robot.planar_family import PlanarArm, PlanarFamily, PlanarNames
 from hplan.robot.tool_axis import find_tool_axis
 from hplan.robot.urdf_adaptation import AdaptedUrdf, RobotChoice, adapt_urdf
-from hplan.robot.urdf_check import frame_number
+from hplan.robot.urdf_check import check_joints, frame_number
 from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, read_urdf_xml
 
 if TYPE_CHECKING:
@@ -56,11 +52,8 @@ _P = ParamSpec("_P")
 
 
 @dataclass(frozen=True, eq=False)
-class Robot(PlanarNames, Record):
-    """Robot: Pinocchio models, joint limits and the planar chain, if any.
-
-    The attributes of `planar` are also attributes of the robot (`robot.arm`, `robot.has_yaw`); they raise
-    `RobotFamilyError` if the robot does not belong to the planar family.
+class Robot(Record):
+    """Robot: Pinocchio models and joint limits.
 
     Attributes:
         name: Name in the URDF.
@@ -77,13 +70,12 @@ class Robot(PlanarNames, Record):
         torque_limit: (dof,) [N m].
         jerk_limit: (dof,) [rad/s^3]; None if the limits file has no jerk limits.
         continuous: (dof,) True for a joint without limits in the URDF, or with limits beyond 1e3 rad on both sides; its
-            range is a whole turn to either side.
+            range is a whole turn to either side, about where it is (`about`).
         held: Values of the URDF's fixed and held joints by name [rad, m]; None for joints of several coordinates.
         urdf_text: URDF that the models were built from, if it differs from the file's content.
-        planar: Planar-family part of the robot; None if the robot does not belong to the family.
-        beyond_family: Element that excludes the robot from the family, and the reason; None for a member.
         may_touch: Pairs of links that may touch, with the reason: SRDF, Drake filter groups, or neighbouring links.
         owners: Arm of each link by link name, for several arms joined to one robot; empty for a single robot.
+        unturned: The robot as it was loaded, if the ranges of continuous joints are about a configuration (`about`).
         shape_faults: Drawn links whose collision shapes are missing or do not fit (`hplan.robot.drawn_links`).
     """
 
@@ -103,11 +95,10 @@ class Robot(PlanarNames, Record):
     continuous: BoolArray
     held: Mapping[str, float | None]
     urdf_text: str | None
-    planar: PlanarFamily | None
-    beyond_family: tuple[str, str] | None = None
     may_touch: tuple[tuple[str, str, str], ...] = ()
     owners: Mapping[str, str] = field(default_factory=dict)
     shape_faults: tuple[ShapeFault, ...] = ()
+    unturned: Robot | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
         joints = ", ".join(self.joint_names)
@@ -130,31 +121,9 @@ class Robot(PlanarNames, Record):
         arm = self.owner_of(link)
         return f"link {link!r}" if arm is None else f"link {link.removeprefix(f'{arm}_')!r} of arm {arm!r}"
 
-    @property
-    def family(self) -> PlanarFamily:
-        """Planar-family part of the robot: `planar`, checked.
-
-        Raises:
-            RobotFamilyError: The robot does not belong to the family; the message names the element and the reason.
-        """
-        if self.planar is None:
-            raise RobotFamilyError(
-                self.name, *(self.beyond_family or ("joints", "they are not the joints of a planar arm"))
-            )
-        return self.planar
-
     def with_shapes(self, collision_model: pin.GeometryModel) -> Robot:
         """Return a copy of the robot with other collision geometry."""
-        planar, beyond = _read_planar(self.model, collision_model, self.tool_frame)
-        return replace(self, collision_model=collision_model, planar=planar, beyond_family=beyond)
-
-    def with_arm(self, arm: PlanarArm) -> Robot:
-        """Return a copy of the robot with another planar chain.
-
-        Raises:
-            RobotFamilyError: The robot does not belong to the family.
-        """
-        return replace(self, planar=replace(self.family, arm=arm))
+        return replace(self, collision_model=collision_model)
 
     @property
     def uncovered_links(self) -> tuple[str, ...]:
@@ -214,25 +183,13 @@ class Robot(PlanarNames, Record):
         """Inverse dynamics of the model."""
         return InverseDynamics.build(self.model)
 
-    def yaw_of(self, q: ArrayLike) -> float:
-        """Yaw of a configuration; 0 for a robot without one.
-
-        Also 0 for a general (non-planar) arm.
-
-        Raises:
-            InputError: `q` is not a (dof,) list of finite numbers.
-        """
-        q = numbers("q", q, (self.dof,), most=FARTHEST_JOINT)
-        return 0.0 if self.planar is None else self.planar.yaw_of(q)
-
     def tool_positions(self, q: ArrayLike) -> FloatArray:
         """Tool positions of configurations, (..., dof) -> (..., 3), in `base_link` [m].
 
         Raises:
             InputError: `q` is not an (..., dof) array of finite numbers.
         """
-        q = numbers("q", q, (..., self.dof), most=FARTHEST_JOINT)
-        return self.forward_kinematics(q)[..., :3, 3] if self.planar is None else self.planar.tool_positions(q)
+        return self.forward_kinematics(q)[..., :3, 3]
 
     def forward_kinematics(self, q: ArrayLike, frame: str | None = None) -> FloatArray:
         """Poses of a frame in `base_link`, (..., dof) -> (..., 4, 4).
@@ -282,6 +239,46 @@ class Robot(PlanarNames, Record):
                 f"locked_joints names {unknown[0]!r}; the robot has {', '.join(self.joint_names)}", joint=unknown[0]
             )
         return np.array([name in names for name in self.joint_names], dtype=np.bool_)
+
+    @property
+    def loaded(self) -> Robot:
+        """The robot as it was loaded: with the ranges of continuous joints about zero.
+
+        For values that whole turns of joints do not change, and that all of these robots share.
+        """
+        return self.unturned or self
+
+    def about(self, q: ArrayLike) -> Robot:
+        """Return the robot with the ranges of continuous joints shifted by whole turns to those about a configuration.
+
+        A continuous joint reports any angle, for example 6.4 rad after a day of work. Its range is a whole turn to
+        either side of the whole turn nearest to it. The robot caches the result; it has the same digest.
+
+        Args:
+            q: (dof,) configuration. An invalid one leaves the robot unchanged; `check_configuration` rejects it.
+
+        Examples:
+            >>> from hplan import load_robot
+            >>> robot = load_robot()
+            >>> robot.about([7.0, 0.0, 0.0, 0.0]) is robot  # its yaw has limits
+            True
+        """
+        loaded = self.loaded
+        try:
+            values = np.array(as_array(q))
+        except ValueError:
+            return loaded
+        usable = values.shape == (self.dof,) and values.dtype.kind in "fiu" and np.isfinite(values).all()
+        if not (usable and self.continuous.any() and (np.abs(values) <= FARTHEST_JOINT).all()):
+            return loaded
+        turns = np.where(self.continuous, np.rint(np.round(values / math.tau, 9)), 0.0)
+        return loaded.cache(("about", *turns.tolist()), lambda: loaded._turned(turns)) if turns.any() else loaded
+
+    def _turned(self, turns: FloatArray) -> Robot:
+        """The robot with the ranges of its joints shifted by (dof,) whole turns."""
+        lower, upper, model = self.lower + math.tau * turns, self.upper + math.tau * turns, self.model.copy()
+        model.lowerPositionLimit, model.upperPositionLimit = lower, upper
+        return replace(self, model=model, lower=readonly(lower), upper=readonly(upper), unturned=self)
 
     def turned_near(self, q: ArrayLike, start: ArrayLike) -> ArrayLike:
         """Shift continuous joints by whole turns to the values nearest a start.
@@ -553,7 +550,6 @@ def _read_robot(
         may_touch += neighbouring_links(model)
     acceleration, jerk = find_limits(urdf_path, adapted.urdf, joint_names, given, adapted.held)
     lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
-    planar, beyond_family = _read_planar(model, collision_model, frame)
     robot = Robot(
         name=model.name,
         urdf_path=urdf_path,
@@ -571,22 +567,10 @@ def _read_robot(
         continuous=readonly([name in adapted.continuous for name in joint_names], np.bool_),
         held=adapted.held,
         urdf_text=adapted.text,
-        planar=planar,
-        beyond_family=beyond_family,
         may_touch=may_touch,
         shape_faults=faults,
     )
     return robot, adapted
-
-
-def _read_planar(
-    model: pin.Model, collision_model: pin.GeometryModel, tool_frame: str
-) -> tuple[PlanarFamily | None, tuple[str, str] | None]:
-    """Planar-family part of a robot, or the element that excludes it and the reason."""
-    try:
-        return read_family(model, collision_model, tool_frame), None
-    except RobotFamilyError as error:
-        return None, (error.element, error.reason)
 
 
 def _build_models(

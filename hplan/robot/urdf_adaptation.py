@@ -24,10 +24,10 @@ from hplan.base.files import is_file
 from hplan.base.units import joint_unit
 from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.robot.drawn_links import shape_links_from_visuals
-from hplan.robot.family_reader import hold_advice
 from hplan.robot.faults import Faults
 from hplan.robot.limits_file import LIMITS_ADVICE, default_limits, limits_in_place
 from hplan.robot.mesh_files import MeshFinder
+from hplan.robot.urdf_check import hold_advice
 from hplan.robot.urdf_file import LIMIT_ADVICE, Joint, Urdf, check_inertias, check_moving_joints, read_urdf
 from hplan.robot.urdf_xml import URDF_TEXT, line_of
 from hplan.scene.limits import FARTHEST_M

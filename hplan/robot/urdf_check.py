@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import RobotFileError
+from hplan.robot.dynamics import SLIDING_JOINTS, TURNING_JOINTS
 from hplan.robot.urdf_file import CollisionShape, Joint, Link, Urdf
 from hplan.robot.urdf_xml import line_of
 
@@ -28,6 +29,37 @@ def frame_number(model: pin.Model, name: str) -> int:
     """
     is_link = model.existFrame(name, pin.FrameType.BODY)
     return int(model.getFrameId(name, pin.FrameType.BODY) if is_link else model.getFrameId(name))
+
+
+def check_joints(path: Path, model: pin.Model) -> None:
+    """Reject unsupported joints, planar or not, and a missing tool frame.
+
+    Raises:
+        RobotFileError: A joint is unsupported or the tool frame is missing; the message names the element and the
+            reason.
+    """
+    if model.njoints < 2:
+        raise RobotFileError(path, "it has no moving joint")
+    for index in range(1, model.njoints):
+        name, kind = model.names[index], model.joints[index].shortname()
+        if kind not in TURNING_JOINTS + SLIDING_JOINTS:
+            advice = hold_advice(name) if model.joints[index].nq == 1 else "make it a fixed joint"
+            reason = f"it is a {kind}; only revolute and prismatic joints move; {advice}"
+            raise RobotFileError(path, f"joint {name!r}: {reason}")
+        axis = model.joints[index].createData()
+        model.joints[index].calc(axis, np.zeros(1))
+        if not abs(np.linalg.norm(axis.S) - 1.0) <= 1e-9:
+            raise RobotFileError(path, f"joint {name!r}: its axis has no direction")
+        low, high = model.lowerPositionLimit[index - 1], model.upperPositionLimit[index - 1]
+        if not low < high:
+            unit = "rad" if kind in TURNING_JOINTS else "m"
+            reason = f"its lower limit {low:g} {unit} is not below its upper limit {high:g} {unit}"
+            raise RobotFileError(path, f"joint {name!r}: {reason}")
+
+
+def hold_advice(joint: str) -> str:
+    """End of a message: the argument that holds a joint."""
+    return f"hold={{{joint!r}: 0.0}} (--hold {joint}=0) locks it"
 
 
 def check_models(path: Path, urdf: Urdf, model: pin.Model, collision_model: pin.GeometryModel | None = None) -> None:

@@ -10,9 +10,9 @@ from hplan.base.arrays import FloatArray
 from hplan.planar.grid.grid import Grid
 from hplan.planar.grid.prepared_obstacles import ConvexObstacle, prepare_obstacles
 from hplan.planar.grid.sections import ArmSections, sections_at
+from hplan.planar.planar_family import PlanarArm
 from hplan.planning.options import LinkModel
 from hplan.robot.model import Robot
-from hplan.robot.planar_family import PlanarArm
 
 
 def joint_grid(arm: PlanarArm, step: float | FloatArray) -> Grid:

@@ -18,6 +18,7 @@ from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.errors import HplanError, InputError
+from hplan.planar.family_reader import family_of
 from hplan.planar.grid.grid import Occupancy
 from hplan.planar.grid.occupancy import occupancy
 from hplan.planning.options import PlanOptions
@@ -65,8 +66,8 @@ class PlanarScene:
 def random_scene(robot: Robot, seed: int, number: int) -> PlanarScene:
     """A random scene of 1 to 12 discs within reach, and clear of pedestal and turret; start and goal are free nodes."""
     random = np.random.default_rng([seed, number])
-    grid = joint_grid(robot.arm, np.radians(STEP_DEG))
-    reach = float(robot.arm.lengths.sum())
+    grid = joint_grid(family_of(robot).arm, np.radians(STEP_DEG))
+    reach = float(family_of(robot).arm.lengths.sum())
     while True:
         count = int(random.integers(1, 13))
         distance = random.uniform(0.11 * reach, reach, count)
@@ -74,7 +75,7 @@ def random_scene(robot: Robot, seed: int, number: int) -> PlanarScene:
         radius = random.uniform(0.02, 0.25 if count < 5 else 0.12, count)
         centres = np.column_stack([distance * np.cos(bearing), distance * np.sin(bearing)])
         discs = _discs_in_plane(robot, np.column_stack([centres, radius]))
-        space = occupancy(robot.arm, arm_sections(robot, discs), grid)
+        space = occupancy(family_of(robot).arm, arm_sections(robot, discs), grid)
         free = np.flatnonzero(~space.occupied_mask.ravel())
         if len(free) < 2:
             continue
@@ -97,7 +98,7 @@ def random_scene(robot: Robot, seed: int, number: int) -> PlanarScene:
 
 def _discs_in_plane(robot: Robot, discs: FloatArray) -> list[Sphere]:
     """Balls from (k, 3) discs: centre in the arm plane at yaw 0, and radius [m]."""
-    centres = robot.plane_origin + discs[:, :2] @ robot.plane_axes
+    centres = family_of(robot).plane_origin + discs[:, :2] @ family_of(robot).plane_axes
     return [
         Sphere(name=f"disc {i}", center=(float(x), float(y), float(z)), radius=float(radius))
         for i, ((x, y, z), radius) in enumerate(zip(centres, discs[:, 2], strict=True))
@@ -106,12 +107,12 @@ def _discs_in_plane(robot: Robot, discs: FloatArray) -> list[Sphere]:
 
 def _planar_scene(robot: Robot, name: str, discs: list[Sphere], start: FloatArray, goal: FloatArray) -> Scene:
     """The scene with the given planar joint angles at yaw 0."""
-    yaw = (0.0,) if robot.has_yaw else ()
+    yaw = (0.0,) if family_of(robot).has_yaw else ()
     return Scene(
         name=name,
         start=Start(joints_rad=(*yaw, *(float(q) for q in start))),
         goal=Goal(joints_rad=(*yaw, *(float(q) for q in goal))),
-        locked_joints=robot.joint_names[:1] if robot.has_yaw else (),
+        locked_joints=robot.joint_names[:1] if family_of(robot).has_yaw else (),
         obstacles=tuple(discs),
     )
 
@@ -174,14 +175,14 @@ def drawn_member(seed: int, number: int) -> Robot:
 
 def _draw_pinch(robot: Robot, random: np.random.Generator, room: float) -> _Drawn | None:
     """A motion with one or two corners, and balls next to it."""
-    arm = robot.arm
+    arm = family_of(robot).arm
     corners = random.uniform(arm.lower, arm.upper, (int(random.integers(3, 5)), arm.link_count))
     parts = []
     for a, b in pairwise(corners):
         count = max(2, math.ceil(float(np.abs(b - a).max()) / SAMPLE))
         parts.append(a + np.linspace(0.0, 1.0, count)[:, None] * (b - a))
     swept = arm.joint_points(np.concatenate(parts))
-    reach, origin = float(arm.lengths.sum()), robot.plane_origin
+    reach, origin = float(arm.lengths.sum()), family_of(robot).plane_origin
     balls: list[Sphere] = []
     close, count = int(random.integers(*CLOSE_BALLS)), int(random.integers(*BALLS))
     for _ in range(40 * count):
@@ -192,10 +193,10 @@ def _draw_pinch(robot: Robot, random: np.random.Generator, room: float) -> _Draw
         left = room if len(balls) < close else room + random.uniform(*FARTHER)
         radius = _least_distance(swept, arm.half_widths, center) - left
         if RADII[0] <= radius <= RADII[1]:
-            place = origin + center @ robot.plane_axes
+            place = origin + center @ family_of(robot).plane_axes
             balls.append(Sphere(name=f"ball {len(balls)}", center=tuple(place.tolist()), radius=radius))
         if len(balls) == count:
-            yaw = [0.0] * robot.yaw_joints
+            yaw = [0.0] * family_of(robot).yaw_joints
             return np.array([*yaw, *corners[0]]), np.array([*yaw, *corners[-1]]), balls
     return None
 

@@ -21,6 +21,7 @@ import hplan
 from hplan.apps.ros import from_joint_trajectory, to_joint_trajectory, write_joint_trajectory, write_mcap
 from hplan.certificate.digests import trajectory_digest
 from hplan.errors import InputError, OptionError
+from hplan.planar.family_reader import family_of
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
@@ -87,7 +88,7 @@ def test_curve_that_the_controller_runs_is_judged(robot: Robot, apart_s: float) 
     farthest = true[[int(true[:, 0].argmin())]]
     tool = robot.tool_positions(farthest)[0]
     side = robot.tool_positions(farthest - [[0.02, 0.0, 0.0, 0.0]])[0] - tool
-    away = float(robot.arm.half_widths[-1]) + 0.02 - 0.0008
+    away = float(family_of(robot).arm.half_widths[-1]) + 0.02 - 0.0008
     ball = Sphere(name="wood", center=tuple(tool + away * side / np.linalg.norm(side)), radius=0.02)
     scene = Scene(name="x", start=Start(joints_rad=A), goal=Goal(joints_rad=motion.position[-1]), obstacles=(ball,))
     assert hplan.check(robot, scene, true).distance_m.min() < 0.0

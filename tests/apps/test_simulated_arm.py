@@ -8,6 +8,7 @@ from planned import fruit, task
 
 from hplan.apps.execution.simulated_arm import CONTROL_PERIOD, SimulatedArm
 from hplan.errors import InputError
+from hplan.planar.family_reader import family_of
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Sphere
@@ -58,7 +59,7 @@ def test_rays_meet_obstacles_fruit_and_the_arm_itself(robot: Robot) -> None:
     assert is_obstacle.tolist() == [1]
     distance, _ = arm.cast_rays((0.0, 1.0, 1.0), rays[1:3])
     assert distance[0] == pytest.approx(1.75)
-    shoulder = robot.plane_origin
+    shoulder = family_of(robot).plane_origin
     distance, is_obstacle = arm.cast_rays(shoulder - [0.0, 3.0, 0.0], np.array([[0.0, 1.0, 0.0]]))
     assert distance[0] < 3.0
     assert is_obstacle.tolist() == [0]

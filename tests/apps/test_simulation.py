@@ -19,6 +19,7 @@ from hplan.apps.execution.simulated_arm import Plant
 from hplan.apps.execution.simulation import HOLD, Execution, RecordedMotion, execute, read_motion
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import InputError
+from hplan.planar.family_reader import family_of
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
@@ -70,7 +71,7 @@ def test_compliant_obstacle_is_deflected_without_contact(yields: float) -> None:
     robot = load_robot()
     start, goal = (0.0, 0.5, 0.4, 0.2), (0.6, 0.5, 0.4, 0.2)
     middle = np.array([0.3, 0.5, 0.4, 0.2])
-    tip, width = robot.tool_positions(middle), float(robot.arm.half_widths[-1])
+    tip, width = robot.tool_positions(middle), float(family_of(robot).arm.half_widths[-1])
     center = (*tip[:2].tolist(), float(tip[2]) + width + 0.03 - 0.012)
     ball = Sphere(name="ball", center=center, radius=0.03, yields=yields)
     given = {"start": Start(joints_rad=start), "goal": Goal(joints_rad=goal), "obstacles": (ball,)}
@@ -112,9 +113,9 @@ def test_exported_reference_plan(robot: Robot, scene: Scene, planned: PlanResult
 @needs_mujoco
 def test_motion_that_only_grazes(robot: Robot) -> None:
     """The tip grazes a small ball by 2 mm, or misses it by 2 mm."""
-    arm = robot.arm
+    arm = family_of(robot).arm
     tip = robot.tool_positions(np.radians([0.0, 30.0, 0.0, 0.0]))
-    outward = (tip - robot.plane_origin) / np.linalg.norm(tip - robot.plane_origin)
+    outward = (tip - family_of(robot).plane_origin) / np.linalg.norm(tip - family_of(robot).plane_origin)
     for gap, touches in ((-0.002, True), (0.002, False)):
         centre = tip + (arm.half_widths[-1] + 0.02 + gap) * outward
         ball = Sphere(name="small", center=tuple(centre), radius=0.02)

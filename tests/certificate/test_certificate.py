@@ -15,7 +15,7 @@ from hplan.certificate.clearance_proof import point_at
 from hplan.certificate.motion_bound import motion_of_movers
 from hplan.certificate.turning_in_place import clearance_in_place
 from hplan.collision.coal_scene import CoalScene
-from hplan.robot.family_reader import outline
+from hplan.geometry.shape_outline import outline
 from hplan.scene.obstacles import Box, Capsule, Sphere
 from hplan.trajectory.trajectory import Trajectory
 

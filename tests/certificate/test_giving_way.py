@@ -13,6 +13,7 @@ from hplan.certificate.certificate import certify
 from hplan.certificate.digests import scene_digest
 from hplan.collision.giving_way import HANGING_M, maximum_deflection, pushing_links
 from hplan.errors import BlockedError, ConfigurationInCollisionError, OptionError, SceneError
+from hplan.planar.family_reader import family_of
 from hplan.planar.grid.sections import sections_at
 from hplan.planar.grids import prepare_world
 from hplan.planning.plan import plan
@@ -285,8 +286,8 @@ def test_field_and_coal_agree_on_supports(arm, hanging):
 
 def test_support_is_rigid_for_other_links(arm):
     q = np.array([1.0, 0.6, 0.5, 0.3])
-    for link, name in enumerate(arm.arm.link_names):
-        beside = arm.arm.half_widths[link] * np.array([-np.sin(q[0]), np.cos(q[0]), 0.0])
+    for link, name in enumerate(family_of(arm).arm.link_names):
+        beside = family_of(arm).arm.half_widths[link] * np.array([-np.sin(q[0]), np.cos(q[0]), 0.0])
         place = link_axes(arm, q)[link].mean(axis=0) + beside
         stub = Sphere(name="stub", center=tuple(place.tolist()), radius=0.01)
         fruit = Sphere(name="fruit", center=(0.0, 0.0, 3.0), radius=0.04)

@@ -17,6 +17,7 @@ from hplan.certificate.certificate import certify, stretches
 from hplan.certificate.digests import trajectory_digest
 from hplan.certificate.goal_contact import OFFSET, THERE, TURN, FruitContact, contact_window
 from hplan.certificate.retimed_certificate import certified_retiming
+from hplan.planar.family_reader import family_of
 from hplan.planar.inverse_kinematics import reach
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
@@ -85,7 +86,10 @@ def test_certify_verifies_exported_plan(robot, picked, tmp_path):
 def test_forearm_through_the_fruit_is_refused(robot):
     """The yaw sweeps the forearm through it; to the scene it is the goal all the same."""
     start, end = np.radians([-30.0, 20.0, 20.0, 20.0]), np.radians([30.0, 20.0, 20.0, 20.0])
-    elbow, wrist = (robot.plane_origin + robot.arm.joint_points(GRASP[1:])[k] @ robot.plane_axes for k in (1, 2))
+    elbow, wrist = (
+        family_of(robot).plane_origin + family_of(robot).arm.joint_points(GRASP[1:])[k] @ family_of(robot).plane_axes
+        for k in (1, 2)
+    )
     fruit = Fruit(name="apple", center=tuple((0.5 * (elbow + wrist)).tolist()), radius=0.06)
     for ends in (True, False):
         certificate = certify(robot, orchard(fruit, start), through(robot, start, end), check_ends=ends)

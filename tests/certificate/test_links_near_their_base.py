@@ -16,6 +16,7 @@ from hplan.certificate.certificate import certify
 from hplan.certificate.motion_bound import motion_of_movers
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import ConfigurationInCollisionError, NoPathError
+from hplan.planar.family_reader import family_of, is_planar
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Goal, Scene, Start
@@ -75,14 +76,14 @@ def depth(robot: Robot, q: np.ndarray) -> float:
 
 
 def lifted(robot: Robot, lift: float, bend: float = 0.3) -> np.ndarray:
-    return np.array([*([0.4] if robot.has_yaw else []), lift, bend])
+    return np.array([*([0.4] if family_of(robot).has_yaw else []), lift, bend])
 
 
 @pytest.mark.parametrize("turns", [False, True])
 @pytest.mark.parametrize("lift", [-0.8, -0.1, 0.0, 0.1, 0.5])
 def test_boom_over_its_own_plate_is_checked_exactly(turns, lift):
     robot = ROBOTS[turns]
-    assert robot.planar is not None
+    assert is_planar(robot)
     start, goal = lifted(robot, 1.0), lifted(robot, lift)
     found = certify(robot, scene(start, goal), straight(robot, start, goal, 5.0, 6.0))
     least = min(depth(robot, q) for q in np.linspace(start, goal, 200))
@@ -129,7 +130,7 @@ def test_motion_and_displacement_of_exact_bodies_are_bounded(turns):
     for _ in range(200):
         q = lifted(robot, random.uniform(-2.5, 2.5))
         turn = np.zeros(robot.dof)
-        turn[robot.arm_slice.start] = random.uniform(-0.3, 0.3)
+        turn[family_of(robot).arm_slice.start] = random.uniform(-0.3, 0.3)
         changed = abs(depth(robot, q + turn) - depth(robot, q))
         bezier = q + np.linspace(0.0, 1.0, 4)[None, :, None] * turn
         mover_of, moved, sways = motion_of_movers(checker, bezier, np.abs(turn)[None])

@@ -17,24 +17,19 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import ConfigurationInCollisionError, NoPathError
 from hplan.geometry.hull import CUBE_CORNERS
+from hplan.geometry.lipschitz import is_always_within, may_reach
+from hplan.geometry.shape_outline import coal_distance
+from hplan.planar.base_shapes import GROUND_CARRIER, TURRET, base_shapes, turning_shapes
+from hplan.planar.family_reader import family_of
 from hplan.planar.grid.occupancy import occupancy
 from hplan.planar.grid.prepared_obstacles import prepare_obstacles
 from hplan.planar.grid.sections import sections_at
+from hplan.planar.self_contact import self_contact
 from hplan.planning.joint_ranges import RANGE_MARGIN
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.specialist import joint_ranges
 from hplan.planning.world import World
-from hplan.robot.base_shapes import (
-    GROUND_CARRIER,
-    TURRET,
-    base_shapes,
-    coal_distance,
-    is_always_within,
-    may_reach,
-    turning_shapes,
-)
-from hplan.robot.self_contact import self_contact
 from hplan.scene.obstacles import Box, Capsule, Sphere
 
 COUNTERWEIGHT = box((0.5, 0.1, 0.1), (-0.3, 0.0, 0.45))
@@ -368,19 +363,19 @@ def test_distances_and_sections_of_base_bodies_agree_with_coal(tmp_path):
         known = {}
         for number, pair in enumerate(checker.parts.own):
             moved, still = pair.bodies
-            if moved.name in robot.arm.link_names and still.shapes:
-                key = robot.arm.link_names.index(moved.name), still.shapes[0]
+            if moved.name in family_of(robot).arm.link_names and still.shapes:
+                key = family_of(robot).arm.link_names.index(moved.name), still.shapes[0]
                 if key in of_links:
                     known[number] = key
         field = ClearanceField.build(robot, [])
-        grid = joint_grid(robot.arm, math.radians(25.0))
+        grid = joint_grid(family_of(robot).arm, math.radians(25.0))
         nodes = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
-        yaws = rng.uniform(robot.lower[0], robot.upper[0], 2) if robot.has_yaw else [0.0]
+        yaws = rng.uniform(robot.lower[0], robot.upper[0], 2) if family_of(robot).has_yaw else [0.0]
         for yaw in yaws:
             sections = sections_at(robot, prepare_obstacles([]), float(yaw))
-            ours = occupancy(robot.arm, sections, grid).occupied_mask.ravel()
+            ours = occupancy(family_of(robot).arm, sections, grid).occupied_mask.ravel()
             for node, occupied in zip(nodes, ours, strict=True):
-                q = [yaw, *node] if robot.has_yaw else node
+                q = [yaw, *node] if family_of(robot).has_yaw else node
                 every = checker.pair_distances(q)
                 table = {body.number: [1.0] for body in bodies}
                 for number, (link, shape) in known.items():
@@ -481,7 +476,9 @@ def test_pairs_within_deviation_or_clearance_are_checked(tmp_path):
         return fitted(tmp_path, high=(85.0, 150.0, limit), name=name)
 
     def least(robot):
-        planar = robot.arm.joint_points(np.column_stack([np.zeros(1501), elbows, np.full(1501, robot.upper[3])]))
+        planar = family_of(robot).arm.joint_points(
+            np.column_stack([np.zeros(1501), elbows, np.full(1501, robot.upper[3])])
+        )
         hand = planar[:, 2:3] + np.linspace(0.0, 1.0, 101)[:, None] * (planar[:, 3:] - planar[:, 2:3])
         apart = np.hypot(hand[..., 0] - np.clip(hand[..., 0], 0.0, 1.0), hand[..., 1]).min(axis=1) - 0.08
         return float(apart.min()), float(elbows[apart.argmin()])
@@ -547,7 +544,7 @@ def test_fixed_links_count_wherever_they_hang(tmp_path):
         "mast": ("turret", (0.0, 0.5, 0.3), shape),
     }
     robot = fitted(tmp_path, hung=hung)
-    assert robot.arm.half_widths[0] == pytest.approx(math.hypot(0.2, 0.05))
+    assert family_of(robot).arm.half_widths[0] == pytest.approx(math.hypot(0.2, 0.05))
     by_name = {base.name: base for base in base_shapes(robot)}
     assert {name: by_name[name].carrier for name in ("cabinet", "mast")} == {"cabinet": GROUND_CARRIER, "mast": TURRET}
     assert turret_radius(robot) == pytest.approx(math.hypot(0.05, 0.55))

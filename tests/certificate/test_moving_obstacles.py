@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import MovingObstacleError
+from hplan.planar.family_reader import family_of
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal
 from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
@@ -83,7 +84,7 @@ def test_what_is_shown_is_clear_at_all_times(robot, poses, spacing, kind, creeps
 def test_grazing_pass_is_decided_to_a_tenth_of_a_millimetre(robot):
     """A ball passes the arm at rest; the clearance it leaves is known in closed form."""
     motion = quintic(robot, REST, REST, duration=2.0, count=201)
-    radius, links = 0.1, robot.arm.half_widths[-1]
+    radius, links = 0.1, family_of(robot).arm.half_widths[-1]
     end = tip(robot, REST)
     for gap in (1e-3, 1e-4, -1e-4, -1e-3):
         # Beyond the tip, along the last link, so that the obstacle passes the tip's cap.
@@ -135,7 +136,7 @@ def test_later_motion_meets_obstacles_at_that_time(robot):
 def test_how_long_the_arm_may_rest_where_it_ends(robot):
     motion = quintic(robot, REST, AWAY, duration=3.0)
     end = tip(robot, AWAY)
-    reach = 0.1 + robot.arm.half_widths[-1]
+    reach = 0.1 + family_of(robot).arm.half_widths[-1]
     comes = track((0.0, (0.0, 0.0, 2.0)), (10.0, (0.0, 0.0, 0.0)))
     ball = Sphere(name="ball", center=tuple(end.tolist()), radius=0.1, track=comes)
     certificate = certify(robot, scene_of(REST, AWAY, [ball]), motion)

@@ -16,6 +16,7 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.hull import hull_of
+from hplan.planar.family_reader import family_of
 from hplan.scene.obstacles import Box, Cylinder, Sphere
 
 #: Clearances beyond all of the scenes [m].
@@ -66,7 +67,7 @@ def by_points(robot, q, cloud):
     """(links,) distances from every ball, one by one."""
     axes = link_axes(robot, q)
     found = []
-    for k, width in enumerate(robot.arm.half_widths):
+    for k, width in enumerate(family_of(robot).arm.half_widths):
         start, along = axes[k, 0], axes[k, 1] - axes[k, 0]
         t = np.clip((cloud.core - start) @ along / (along @ along), 0.0, 1.0)
         found.append(np.linalg.norm(cloud.core - start - t[:, None] * along, axis=1).min() - cloud.rounding - width)
@@ -231,7 +232,7 @@ def test_no_axis_point_moves_farther_than_the_bound(variant):
     closest = 0.0
     for _ in range(25):
         start, end = rng.uniform(variant.lower, variant.upper, (2, variant.dof))
-        if variant.has_yaw and rng.random() < 0.3:
+        if family_of(variant).has_yaw and rng.random() < 0.3:
             end[1:] = start[1:]
         end = start + rng.choice([1.0, 0.01]) * (end - start)
         bounds = bounds_of(field, end - start)

@@ -26,7 +26,8 @@ from hplan.collision.coal_shapes import solid_shape
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.coal_hull import convex_hull_shape
 from hplan.geometry.hull import CUBE_CORNERS, hull_of
-from hplan.robot.base_shapes import coal_distance
+from hplan.geometry.shape_outline import coal_distance
+from hplan.planar.family_reader import family_of
 from hplan.robot.family import HARVESTER, write_robot
 from hplan.robot.model import load_robot
 from hplan.scene.model import Goal, Scene, Start
@@ -457,7 +458,7 @@ def test_one_for_each_pair(robot):
     errors = checker.distance_errors
     assert errors.shape == (len(checker.pairs),)
     table = errors[: 3 * len(checker.link_names)].reshape(-1, 3)
-    lengths = robot.arm.lengths
+    lengths = family_of(robot).arm.lengths
     np.testing.assert_allclose(table[:, 1] - table[:, 0], PARALLEL / lengths, atol=2e-9)
     np.testing.assert_allclose(table[:, 2], ITERATION + 50.0 * SIZE, rtol=1e-4)
     np.testing.assert_array_equal(checker.allow_touch("s").distance_errors, errors)

@@ -18,6 +18,7 @@ from hplan.base.arrays import FloatArray, readonly
 from hplan.errors import UnreachableError
 from hplan.kinematics.inverse_kinematics import SAME, inverse_kinematics
 from hplan.planar.chain import FreeChain
+from hplan.planar.family_reader import family_of, with_planar_arm
 from hplan.planar.inverse_kinematics import AXIS_YAWS, reach
 from hplan.robot.model import Robot
 
@@ -32,11 +33,11 @@ def variants(tmp_path_factory):
 
 def with_arm(robot: Robot, **changes) -> Robot:
     """The robot with other lengths or limits of its planar joints."""
-    arm = replace(robot.arm, **{key: readonly(value) for key, value in changes.items()})
+    arm = replace(family_of(robot).arm, **{key: readonly(value) for key, value in changes.items()})
     yaw = slice(0, robot.dof - arm.link_count)
     lower = readonly(np.concatenate([robot.lower[yaw], arm.lower]))
     upper = readonly(np.concatenate([robot.upper[yaw], arm.upper]))
-    return replace(robot.with_arm(arm), lower=lower, upper=upper)
+    return with_planar_arm(replace(robot, lower=lower, upper=upper), arm)
 
 
 def random_arm(robot: Robot, rng: np.random.Generator) -> Robot:
@@ -52,13 +53,13 @@ def random_arm(robot: Robot, rng: np.random.Generator) -> Robot:
 
 
 def approach_of(robot: Robot, q: np.ndarray) -> np.ndarray:
-    arm = robot.arm
-    return (arm.signs * q[..., robot.arm_slice] + arm.offsets).sum(axis=-1)
+    arm = family_of(robot).arm
+    return (arm.signs * q[..., family_of(robot).arm_slice] + arm.offsets).sum(axis=-1)
 
 
 def elbow_side(robot: Robot, q: np.ndarray) -> np.ndarray:
-    arm = robot.arm
-    return np.sign(np.sin((arm.signs * q[..., robot.arm_slice] + arm.offsets)[..., 1]))
+    arm = family_of(robot).arm
+    return np.sign(np.sin((arm.signs * q[..., family_of(robot).arm_slice] + arm.offsets)[..., 1]))
 
 
 def turned(difference: np.ndarray) -> np.ndarray:
@@ -70,7 +71,7 @@ def assert_reached(robot: Robot, candidates, position) -> None:
     q = candidates.configurations
     assert len(q)
     assert not q.flags.writeable
-    np.testing.assert_allclose(robot.tool_positions(q), np.tile(position, (len(q), 1)), rtol=0.0, atol=EXACT)
+    np.testing.assert_allclose(family_of(robot).tool_positions(q), np.tile(position, (len(q), 1)), rtol=0.0, atol=EXACT)
     assert ((q >= robot.lower) & (q <= robot.upper)).all()
     assert turned(approach_of(robot, q) - candidates.approach).max() < EXACT
     assert (np.abs(candidates.approach) <= np.pi).all()
@@ -84,7 +85,7 @@ def nearest(candidates, q) -> float:
 
 def scan(robot: Robot, point: complex, angles: np.ndarray) -> np.ndarray:
     """(angles,) True if the planar tool reaches a point with the last link's angle."""
-    arm = robot.arm
+    arm = family_of(robot).arm
     l1, l2, l3 = arm.lengths
     found = np.zeros(len(angles), dtype=bool)
     for i, angle in enumerate(angles):
@@ -107,7 +108,7 @@ def scan(robot: Robot, point: complex, angles: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", SMALL)
 def test_every_configuration_is_found(variants, name):
     robot, rng = variants[name], np.random.default_rng(1)
-    three = robot.arm.link_count == 3
+    three = family_of(robot).arm.link_count == 3
     for q in rng.uniform(robot.lower, robot.upper, (40, robot.dof)):
         position = axis_points(robot, q)[-1]
         angle = float(np.degrees(approach_of(robot, q)))
@@ -122,7 +123,7 @@ def test_every_configuration_is_found(variants, name):
             assert nearest(every, q) < 1e-6
             continue
         same = elbow_side(robot, every.configurations) == elbow_side(robot, q)
-        if robot.has_yaw:
+        if family_of(robot).has_yaw:
             same &= np.abs(every.configurations[:, 0] - q[0]) < 1e-6
         gap = turned(every.approach[same] - approach_of(robot, q)).min()
         assert gap < 8.0 * np.pi / 64
@@ -148,7 +149,7 @@ def test_random_arms(robot, seed):
     q = rng.uniform(arm.lower, arm.upper)
     # Some joints at their limits, where intervals end or are single points.
     q = np.where(rng.random(4) < 0.3, rng.choice([arm.lower, arm.upper]), q)
-    position = arm.tool_positions(q)
+    position = family_of(arm).tool_positions(q)
     assert_reached(arm, reach(arm, position), position)
     given_angle = reach(arm, position, approach_deg=float(np.degrees(approach_of(arm, q))), start=q)
     assert_reached(arm, given_angle, position)
@@ -161,7 +162,7 @@ def test_feasible_directions_against_a_scan(robot, seed):
     rng = np.random.default_rng(seed)
     arm = random_arm(robot, rng)
     point = complex(*rng.uniform(-1.5, 1.5, 2))
-    chain = FreeChain.build(arm.arm, (0, 1, 2), np.zeros(3))
+    chain = FreeChain.build(family_of(arm).arm, (0, 1, 2), np.zeros(3))
     spans = chain.feasible_directions(np.array([point]), np.zeros(1))
     angles = rng.uniform(-np.pi, np.pi, 400)
     inside = np.zeros(400, dtype=bool)
@@ -220,18 +221,18 @@ def test_points_nearer_to_the_yaw_axis_than_the_plane(variants, name):
     Inside, the error gives the distance.
     """
     robot = variants[name]
-    _, across = robot.shoulder_from_axis
+    _, across = family_of(robot).shoulder_from_axis
     assert abs(across) > 0.1
-    height = robot.plane_origin[2] + 0.9
+    height = family_of(robot).plane_origin[2] + 0.9
     direction = np.array([math.cos(0.3), math.sin(0.3)])
-    outside = np.append(robot.yaw_axis + (abs(across) + 1e-3) * direction, height)
+    outside = np.append(family_of(robot).yaw_axis + (abs(across) + 1e-3) * direction, height)
     found = reach(robot, outside, count=8)
     assert_reached(robot, found, outside)
     yaws = np.unique(found.configurations[:, 0].round(6))
     assert len(yaws) == 2
     assert np.diff(yaws) == pytest.approx(2.0 * math.acos(abs(across) / (abs(across) + 1e-3)), abs=1e-5)
     for part in (0.0, 0.5, 0.99):
-        inside = np.append(robot.yaw_axis + part * abs(across) * direction, height)
+        inside = np.append(family_of(robot).yaw_axis + part * abs(across) * direction, height)
         with pytest.raises(UnreachableError, match="closer to the yaw axis than the arm plane") as caught:
             reach(robot, inside)
         assert caught.value.reason == "off_plane"
@@ -249,7 +250,7 @@ def test_not_found_is_not_unreachable(variants):
     robot = variants["five links on a yaw"]
     direction = np.array([np.cos(0.3), 0.0, np.sin(0.3)])
     with pytest.raises(UnreachableError, match="j0, j1 at grid values") as caught:
-        reach(robot, robot.plane_origin + (robot.arm.lengths.sum() - 1e-9) * direction)
+        reach(robot, family_of(robot).plane_origin + (family_of(robot).arm.lengths.sum() - 1e-9) * direction)
     assert caught.value.reason == "not_found"
 
 
@@ -287,9 +288,9 @@ def test_limits_in_the_way(robot, seed):
     assert fault.data["joint"] in fault.message
 
     def relaxed(share: float) -> Robot:
-        lower, upper = np.array(arm.arm.lower), np.array(arm.arm.upper)
+        lower, upper = np.array(family_of(arm).arm.lower), np.array(family_of(arm).arm.upper)
         for entry in fault.data["passed"]:
-            index = arm.arm.joint_names.index(entry["joint"])
+            index = family_of(arm).arm.joint_names.index(entry["joint"])
             by, limit = share * np.radians(entry["excess_deg"]), np.radians(entry["limit_deg"])
             if abs(limit - lower[index]) < 1e-9:
                 lower[index] -= by

@@ -15,6 +15,7 @@ from hplan.certificate.certificate import Certificate, certify
 from hplan.errors import HplanError, InputError
 from hplan.online.planner import Planner
 from hplan.online.splice import SplicedResult
+from hplan.planar.family_reader import family_of
 from hplan.planning.plan import plan
 from hplan.planning.report import write_report
 from hplan.planning.result import PlanResult
@@ -44,7 +45,10 @@ def a_planner(robot: Robot) -> Planner:
 def in_the_hand(robot: Robot, trajectory: Trajectory, time_s: float) -> tuple[float, float, float]:
     """Middle of the last link at a time."""
     q = trajectory.positions(np.array([time_s]))[0]
-    points, (origin, axes) = robot.arm.joint_points(q[robot.arm_slice]), robot.plane_at(robot.yaw_of(q))
+    points, (origin, axes) = (
+        family_of(robot).arm.joint_points(q[family_of(robot).arm_slice]),
+        family_of(robot).plane_at(family_of(robot).yaw_of(q)),
+    )
     x, y, z = (origin + 0.5 * (points[-1] + points[-2]) @ axes[:2]).tolist()
     return x, y, z
 

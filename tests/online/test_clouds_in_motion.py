@@ -11,6 +11,7 @@ from hplan.errors import HplanError, InputError, OptionError
 from hplan.online.arm_shape import SweptReach
 from hplan.online.frame import CloudOptions
 from hplan.online.planner import Planner
+from hplan.planar.family_reader import family_of
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot
@@ -53,11 +54,13 @@ def least_distance(robot: Robot, track: Track, motion: Trajectory, begins_s: flo
     clock, least = np.append(np.arange(0.0, motion.duration, 5e-4), motion.duration), np.inf
     turns, shifts = base_poses(track, begins_s + clock)
     q = motion.positions(clock)
-    origins, axes = map(np.array, zip(*(robot.plane_at(robot.yaw_of(each)) for each in q), strict=True))
-    joints = origins[:, None] + robot.arm.joint_points(q[:, robot.arm_slice]) @ axes[:, :2]
+    origins, axes = map(
+        np.array, zip(*(family_of(robot).plane_at(family_of(robot).yaw_of(each)) for each in q), strict=True)
+    )
+    joints = origins[:, None] + family_of(robot).arm.joint_points(q[:, family_of(robot).arm_slice]) @ axes[:, :2]
     seen = (points - shifts[:, None]) @ turns
-    for link, half in enumerate(robot.arm.half_widths):
-        beside = robot.arm.lateral[link] * axes[:, 2]
+    for link, half in enumerate(family_of(robot).arm.half_widths):
+        beside = family_of(robot).arm.lateral[link] * axes[:, 2]
         start, way = (joints[:, link] + beside)[:, None], (joints[:, link + 1] - joints[:, link])[:, None]
         along = np.clip(((seen - start) * way).sum(axis=2) / (way**2).sum(axis=2), 0.0, 1.0)[..., None]
         least = min(least, float(np.linalg.norm(seen - start - along * way, axis=2).min()) - half)

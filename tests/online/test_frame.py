@@ -21,6 +21,7 @@ from hplan.online.arm_shape import arm_solids
 from hplan.online.body_distances import distance_from_bodies, distances_from_bodies
 from hplan.online.frame import CloudOptions, Frame, filter_frame
 from hplan.online.frame_kernels import Scratch
+from hplan.planar.family_reader import family_of
 from hplan.robot.model import load_robot
 from hplan.scene.obstacles import Sphere
 
@@ -171,7 +172,7 @@ def test_points_next_to_link_are_kept_though_inside_its_capsule(make, link, off_
     along = axis[1] - axis[0]
     beside = np.cross(along, [0.3, 0.5, 0.8])
     point = axis[0] + 0.3 * along + off_m * beside / np.linalg.norm(beside)
-    assert robot.arm.half_widths[link] > off_m + 1e-3
+    assert family_of(robot).arm.half_widths[link] > off_m + 1e-3
     options = CloudOptions(growth_m=1e-3, arm_padding_m=0.0)
     found = filter_frame(robot, Frame.validate(robot, point[None], radius=RADIUS, joints=q), options)
     assert (found.report.of_arm, found.report.kept) == (0, 1)
@@ -383,7 +384,7 @@ def test_growth_counts_for_balls_at_the_arm(robot, beyond_m, stays):
     reaching = np.zeros(robot.dof)
     x, y, z = robot.tool_positions(reaching) - CAMERA
     pair = np.array([[x - 0.1, y, z], [x - 0.096, y, z]])  # one ball in the middle of both, grown by 2 mm
-    pair[:, 1] += robot.arm.half_widths[-1] + RADIUS + 2e-3 + beyond_m
+    pair[:, 1] += family_of(robot).arm.half_widths[-1] + RADIUS + 2e-3 + beyond_m
     first = take(robot, pair, 0.0, options=CloudOptions(growth_m=0.05))
     assert first.report.growth_m == pytest.approx(2e-3)
     assert take(robot, [], 0.1, first.seen, joints=reaching).report.remembered == stays
@@ -393,7 +394,7 @@ def test_points_hidden_by_padding_are_remembered(robot):
     """A branch 25 mm from the arm counts as the arm in the next frame, but is kept."""
     reaching = np.zeros(robot.dof)
     x, y, z = robot.tool_positions(reaching) - CAMERA
-    beside = robot.arm.half_widths[-1] + 0.025
+    beside = family_of(robot).arm.half_widths[-1] + 0.025
     branch = np.column_stack([np.linspace(x - 0.3, x - 0.1, 50), np.full(50, y + beside), np.full(50, z)])
     first = take(robot, branch, 0.0)
     again = take(robot, branch, 0.1, first.seen, joints=reaching)

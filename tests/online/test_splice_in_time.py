@@ -18,6 +18,7 @@ from hplan.certificate.certificate import certify
 from hplan.errors import ObstacleInTimeError, RunningMotionBlockedError
 from hplan.online.planner import Planner
 from hplan.online.splice import SplicedResult
+from hplan.planar.family_reader import family_of
 from hplan.planning.in_time import certified_in_time, stopping_first
 from hplan.planning.motion import Motion, Plan
 from hplan.planning.options import PlanOptions
@@ -214,7 +215,10 @@ def test_state_without_escape_is_reported(robot):
     planner = a_planner(robot)
     running = planner.last.trajectory
     q = running.positions(np.array([0.5 * running.duration]))[0]
-    elbow = robot.arm.joint_points(q[robot.arm_slice])[1] @ robot.plane_at(0.0)[1][:2] + robot.plane_at(0.0)[0]
+    elbow = (
+        family_of(robot).arm.joint_points(q[family_of(robot).arm_slice])[1] @ family_of(robot).plane_at(0.0)[1][:2]
+        + family_of(robot).plane_at(0.0)[0]
+    )
     planner.add(crossing(elbow, 0.5 * running.duration, speed=20.0, radius=0.5))
     seam_s = 0.5 * running.duration - 0.06
     with pytest.raises(RunningMotionBlockedError) as caught:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.optimization.repair import leave_contact, repair
+from hplan.planar.family_reader import family_of
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.obstacles import Box, Capsule, Sphere
 
@@ -21,11 +22,11 @@ MARGIN = 1e-4
 
 def near_the_links(robot: Robot, q: np.ndarray, gap: float) -> list[Sphere | Capsule]:
     """A ball just below the second link and a bar just above the third."""
-    points = robot.plane_origin + robot.arm.joint_points(q[1:]) @ robot.plane_axes
+    points = family_of(robot).plane_origin + family_of(robot).arm.joint_points(q[1:]) @ family_of(robot).plane_axes
     second, third = np.diff(points, axis=0)[1:]
     up = [np.cross(np.cross(part, [0.0, 0.0, 1.0]), part) for part in (second, third)]
     up = [direction / np.linalg.norm(direction) for direction in up]
-    widths = robot.arm.half_widths
+    widths = family_of(robot).arm.half_widths
     below = points[1] + 0.5 * second - (widths[1] + 0.05 + gap) * up[0]
     above = points[2] + 0.5 * third + (widths[2] + 0.02 + gap) * up[1]
     across = np.array([0.0, 0.3, 0.0])

@@ -13,10 +13,11 @@ from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.base.arrays import readonly
 from hplan.errors import InputError
+from hplan.planar.family_reader import family_of
 from hplan.planar.grid.grid import Grid
 from hplan.planar.grid.occupancy import occupancy
 from hplan.planar.grid.sections import LINK_MODELS
-from hplan.robot.planar_family import PlanarArm
+from hplan.planar.planar_family import PlanarArm
 
 #: Cells this close to the boundary may be either [m].
 BAND = 1e-9
@@ -136,7 +137,7 @@ def assert_same(occupied, margins, context=""):
 
 @pytest.fixture(scope="module")
 def table_1(robot):
-    return joint_grid(robot.arm, math.radians(1.0)), [RoundedPolygon(readonly([[1.0, 1.3]]), 0.15)]
+    return joint_grid(family_of(robot).arm, math.radians(1.0)), [RoundedPolygon(readonly([[1.0, 1.3]]), 0.15)]
 
 
 MARGINS = {"capsule": capsule_margins, "paper": paper_margins, "rectangle": rectangle_margins}
@@ -145,11 +146,13 @@ MARGINS = {"capsule": capsule_margins, "paper": paper_margins, "rectangle": rect
 @pytest.mark.parametrize("model", LINK_MODELS)
 def test_reference_scene_cell_for_cell(robot, table_1, model):
     grid, discs = table_1
-    result = occupancy(robot.arm, planar_sections(discs, robot.arm.half_widths, link_model=model), grid)
+    result = occupancy(
+        family_of(robot).arm, planar_sections(discs, family_of(robot).arm.half_widths, link_model=model), grid
+    )
     assert grid.shape == (91, 91, 91)
     table_1_counts = {"capsule": 128_891, "paper": 127_973, "rectangle": 127_342}
     assert result.occupied_count == result.occupied_mask.sum() == table_1_counts[model]
-    np.testing.assert_array_equal(result.occupied_mask, MARGINS[model](robot.arm, grid, discs) <= 0.0)
+    np.testing.assert_array_equal(result.occupied_mask, MARGINS[model](family_of(robot).arm, grid, discs) <= 0.0)
 
 
 # Random arms and obstacles
@@ -313,4 +316,4 @@ def test_forbidden_interval_between_any_two_nodes(first, last):
 
 def test_grid_of_another_arm_is_refused(robot, scene):
     with pytest.raises(InputError, match="the arm has 3 links, the grid has 2 axes, and the sections are for 3 links"):
-        occupancy(robot.arm, arm_sections(robot, scene.solids), Grid.from_limits([0, 0], [1, 1], 0.1))
+        occupancy(family_of(robot).arm, arm_sections(robot, scene.solids), Grid.from_limits([0, 0], [1, 1], 0.1))

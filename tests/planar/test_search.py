@@ -16,6 +16,7 @@ from studies.planar_problems import random_scene
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, readonly
 from hplan.errors import OptionError
+from hplan.planar.family_reader import family_of
 from hplan.planar.grid import SearchResult, dense_search, reachable_nodes, slices_with_path, two_level_search
 from hplan.planar.grid.astar import bound
 from hplan.planar.grid.blockers import _dilate, blockers
@@ -211,7 +212,7 @@ START, GOAL = [0, 0, 0], [45, 60, 70]
 
 def reference(robot: Robot, scene: Scene, model: LinkModel = "capsule") -> Occupancy:
     sections = arm_sections(robot, scene.solids, link_model=model)
-    return occupancy(robot.arm, sections, joint_grid(robot.arm, np.radians(1.0)))
+    return occupancy(family_of(robot).arm, sections, joint_grid(family_of(robot).arm, np.radians(1.0)))
 
 
 @pytest.fixture(scope="module")
@@ -303,10 +304,10 @@ def test_only_obstacles_at_the_reached_region_count(robot: Robot) -> None:
         Sphere(name="behind", center=(-1.0, 0.0, 1.6), radius=0.1),
     ]
     sections = arm_sections(robot, balls)
-    grid = joint_grid(robot.arm, np.radians(3.0))
-    reached = ~occupancy(robot.arm, sections, grid).occupied_mask
+    grid = joint_grid(family_of(robot).arm, np.radians(3.0))
+    reached = ~occupancy(family_of(robot).arm, sections, grid).occupied_mask
     reached[10:] = False  # the start's side of the near ball
-    found = blockers(robot.arm, sections, grid, reached)
+    found = blockers(family_of(robot).arm, sections, grid, reached)
     assert {blocker["obstacle"] for blocker in found} == {"near"}
     assert found[0]["link"] == "upper_arm"
     assert found[0]["slices_deg"] == [0.0, 90.0]
@@ -315,10 +316,10 @@ def test_only_obstacles_at_the_reached_region_count(robot: Robot) -> None:
 
 def test_slices_are_those_of_the_occupied_border(robot: Robot) -> None:
     sections = arm_sections(robot, [Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15)])
-    grid = joint_grid(robot.arm, np.radians(3.0))
-    free = ~occupancy(robot.arm, sections, grid).occupied_mask
+    grid = joint_grid(family_of(robot).arm, np.radians(3.0))
+    free = ~occupancy(family_of(robot).arm, sections, grid).occupied_mask
     free[..., 11:] = False
-    found = blockers(robot.arm, sections, grid, free)
+    found = blockers(family_of(robot).arm, sections, grid, free)
     assert found
     for blocker in found:
         low, high = blocker["slices_deg"]
@@ -358,7 +359,7 @@ def test_each_layer_is_the_planar_problem_at_its_yaw(tmp_path, count, step) -> N
     """Grids of less than a word, and of one and more, in either direction."""
     robot = load_variant("one link on a yaw" if step < 0.1 else "upright on a yaw", tmp_path)
     bodies = prepare_obstacles(random_obstacles(np.random.default_rng(count), 9))
-    planar = joint_grid(robot.arm, step)
+    planar = joint_grid(family_of(robot).arm, step)
     first, turn = -0.7, 0.03
     space = turning_occupancy(robot, bodies, planar, YawAxis(first, turn, count), layers=LayerCache())
     assert space.grid.shape == (*planar.shape, count)
@@ -369,7 +370,7 @@ def test_each_layer_is_the_planar_problem_at_its_yaw(tmp_path, count, step) -> N
     assert free.any()
     for layer in range(count):
         sections = sections_at(robot, bodies, first + turn * layer)
-        np.testing.assert_array_equal(free[..., layer], free_nodes(occupancy(robot.arm, sections, planar)))
+        np.testing.assert_array_equal(free[..., layer], free_nodes(occupancy(family_of(robot).arm, sections, planar)))
     spare = np.unpackbits(space.free_words.view(np.uint8), axis=1, bitorder="little")[:, count:]
     assert not spare.any()
 

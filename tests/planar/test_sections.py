@@ -15,6 +15,7 @@ from test_occupancy import point_segment, segment_polygon
 
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import InputError, OptionError
+from hplan.planar.family_reader import family_of
 from hplan.planar.grid.cutting_arrays import ArmPlane, LinkExtents
 from hplan.planar.grid.occupancy import occupancy
 from hplan.planar.grid.prepared_obstacles import prepare_obstacles
@@ -235,9 +236,9 @@ def test_coal_finds_no_collision_outside_the_sections(name, tmp_path):
 
 def met(robot, sections, q):
     """Whether each configuration's link axes meet a section, straight from the polygons."""
-    points = robot.arm.joint_points(q[:, robot.arm_slice])
+    points = family_of(robot).arm.joint_points(q[:, family_of(robot).arm_slice])
     found = np.zeros(len(q), dtype=bool)
-    for k in range(robot.arm.link_count):
+    for k in range(family_of(robot).arm.link_count):
         for s in range(sections.link_start[k], sections.link_start[k + 1]):
             vertices = sections.vertices[sections.vertex_start[s] : sections.vertex_start[s + 1]]
             found |= segment_polygon(points[:, k], points[:, k + 1], vertices) <= sections.radii[s]
@@ -246,7 +247,7 @@ def met(robot, sections, q):
 
 def test_out_of_reach_changes_nothing_but_the_number_of_sections(robot):
     rng = np.random.default_rng(19)
-    grid = joint_grid(robot.arm, math.radians(5.0))
+    grid = joint_grid(family_of(robot).arm, math.radians(5.0))
     obstacles = [random_solid(kind, rng, yaw) for kind in KINDS for yaw in rng.uniform(-0.1, 0.1, 20)]
     obstacles += [Sphere(name="far", center=(9.0, 0.0, 1.0), radius=0.1)]
     for link_model in ("capsule", "paper", "rectangle"):
@@ -257,7 +258,8 @@ def test_out_of_reach_changes_nothing_but_the_number_of_sections(robot):
         assert len(chosen) - 1 in every.obstacle_of
         assert len(chosen) - 1 not in near.obstacle_of
         np.testing.assert_array_equal(
-            occupancy(robot.arm, near, grid).free_words, occupancy(robot.arm, every, grid).free_words
+            occupancy(family_of(robot).arm, near, grid).free_words,
+            occupancy(family_of(robot).arm, every, grid).free_words,
         )
 
 

@@ -12,6 +12,7 @@ from planned import at, last_link, post
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError
 from hplan.kinematics.straight_line import ToolLine
+from hplan.planar.family_reader import family_of
 from hplan.planar.inverse_kinematics import reach
 from hplan.planning.grasps import SEARCHED, SPARE, Grasp, Target, grasps, select_promising
 from hplan.planning.world import World
@@ -39,7 +40,7 @@ def assert_grasps(robot: Robot, ways: tuple[Grasp, ...], world: World, near: Wor
     for grasp in ways:
         np.testing.assert_allclose(robot.tool_positions(grasp.goal), point, atol=1e-6)
         heading = last_link(robot, grasp.goal)
-        _, axes = robot.plane_at(grasp.goal[0])
+        _, axes = family_of(robot).plane_at(grasp.goal[0])
         assert math.atan2(heading @ axes[1], heading @ axes[0]) == pytest.approx(grasp.approach, abs=1e-6)
         path = grasp.path(robot)
         if grasp.distance == 0.0:
@@ -125,7 +126,9 @@ def test_obstacles_on_the_way_in_are_seen(robot: Robot) -> None:
         path = grasp.path(robot)
         assert path is not None
         middle = path.evaluate(0.4 * path.end)
-        points = robot.plane_origin + robot.arm.joint_points(middle[1:]) @ robot.plane_axes
+        points = (
+            family_of(robot).plane_origin + family_of(robot).arm.joint_points(middle[1:]) @ family_of(robot).plane_axes
+        )
         cos, sin = math.cos(middle[0]), math.sin(middle[0])
         points = points @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
         share = float(rng.uniform(0.1, 0.9))
@@ -153,7 +156,7 @@ def test_blocked_error_names_obstacle(robot: Robot) -> None:
     assert {item["obstacle"] for item in error.obstacles} == {"trunk"}
     total = len(reach(robot, FRUIT.center, count=64, start=START).configurations)
     assert error.data["tried"] == total == sum(item["configurations"] for item in error.obstacles)
-    assert all(item["link"] in robot.arm.link_names for item in error.obstacles)
+    assert all(item["link"] in family_of(robot).arm.link_names for item in error.obstacles)
     assert error.exit_status == 3
 
 

@@ -18,6 +18,7 @@ from planned import assert_sound, between_rows, frame_about_upper_arm, posed, ta
 
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, CertificationError, NoPathError, NotFoundError, TimingError
+from hplan.planar.family_reader import family_of
 from hplan.planar.inverse_kinematics import reach
 from hplan.planning.failures import FailuresError
 from hplan.planning.grasps import COUNT, ROOMS, SPARE, Grasp, Target, grasps, select_promising
@@ -202,7 +203,7 @@ def test_least_standoff_keeps_the_clearance(robot: Robot, clearance: float) -> N
     result = plan(robot, scene, PlanOptions(standoff=0.0))
     assert_sound(robot, scene, result)
     assert result.grasp is not None
-    least = 0.04 + float(robot.arm.half_widths[-1]) + clearance
+    least = 0.04 + float(family_of(robot).arm.half_widths[-1]) + clearance
     assert least < result.grasp.distance < least + 0.005
     spare = CoalScene(robot, scene.solids_with_goal).distances(result.grasp.standoff).min()
     assert clearance < spare < clearance + 0.005
@@ -273,12 +274,12 @@ def scene(robot: Robot, approach_deg: float, *obstacles: Capsule | Sphere) -> Sc
 def slot(robot: Robot, approach_deg: float, room: float) -> Scene:
     """Two wires across the arm plane, above and below the last link at the fruit."""
     yaw, angle = math.atan2(APPLE.center[1], APPLE.center[0]), math.radians(approach_deg)
-    _, (outward, upward, normal) = robot.plane_at(yaw)
+    _, (outward, upward, normal) = family_of(robot).plane_at(yaw)
     along = math.cos(angle) * outward + math.sin(angle) * upward
     across = math.cos(angle) * upward - math.sin(angle) * outward
     wires = []
     for side in (-1.0, 1.0):
-        aside = side * (float(robot.arm.half_widths[-1]) + room + THICK)
+        aside = side * (float(family_of(robot).arm.half_widths[-1]) + room + THICK)
         middle = np.array(APPLE.center) - 0.03 * along + aside * across
         ends = {"from": tuple((middle - 0.5 * normal).tolist()), "to": tuple((middle + 0.5 * normal).tolist())}
         wires.append(Capsule.model_validate({"name": f"wire {side:+g}", "radius": THICK, **ends}))
@@ -320,10 +321,10 @@ def test_standoff_with_small_clearance_beats_no_standoff(orchard_arm: Robot) -> 
     options = PlanOptions(standoff=0.0)  # the shortest approach alone
     target = Target.of_fruit(World.of_scene(orchard_arm, free, options), APPLE, free, options)
     grasp = grasps(target, free.start.configuration, standoff=0.0)[0]
-    origin, axes = orchard_arm.plane_at(grasp.standoff[0])
-    elbow, wrist, tool = origin + orchard_arm.arm.joint_points(grasp.standoff[1:])[-3:] @ axes[:2]
+    origin, axes = family_of(orchard_arm).plane_at(grasp.standoff[0])
+    elbow, wrist, tool = origin + family_of(orchard_arm).arm.joint_points(grasp.standoff[1:])[-3:] @ axes[:2]
     back = sum((wrist - end) / np.linalg.norm(wrist - end) for end in (elbow, tool))
-    center = wrist + (float(orchard_arm.arm.half_widths[1]) + THICK + room) * back / np.linalg.norm(back)
+    center = wrist + (float(family_of(orchard_arm).arm.half_widths[1]) + THICK + room) * back / np.linalg.norm(back)
     posed = scene(orchard_arm, 10.0, Sphere(name="ball", center=tuple(center.tolist()), radius=THICK))
     found = plan(orchard_arm, posed, options)
     assert_sound(orchard_arm, posed, found)

@@ -19,6 +19,7 @@ from hplan.errors import (
     TimingError,
     UnreachableError,
 )
+from hplan.planar.family_reader import family_of
 from hplan.planning.approach import Approach
 from hplan.planning.failures import FailuresError, mark_approach, obstacle_of, reason_of
 from hplan.planning.options import PlanOptions
@@ -109,7 +110,7 @@ def test_pickable_fruit_has_motions_that_certify(arm: Robot) -> None:
 @pytest.mark.parametrize("gap", [-0.03, -0.005, 0.02])
 def test_blocking_obstacle_and_depth_are_reported(arm: Robot, gap: float) -> None:
     """A ball so near to the fruit's center that the end of the hand is in it, from wherever it comes."""
-    half_width, radius, z = float(arm.arm.half_widths[-1]), 0.05, 1.4
+    half_width, radius, z = float(family_of(arm).arm.half_widths[-1]), 0.05, 1.4
     beyond = 1.5 + radius + half_width + gap
     ball = Sphere(name="ball", center=at(10.0, beyond, z), radius=radius)
     apple = fruit("apple", 10.0, 1.5, z, 0.03)

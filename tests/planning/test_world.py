@@ -18,6 +18,7 @@ from hplan.collision.body_kernels import FAR
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.errors import ConfigurationInCollisionError, InputError
+from hplan.planar.family_reader import family_of, with_planar_arm
 from hplan.planar.grid.sections import sections_at
 from hplan.planar.grids import prepare_world
 from hplan.planning.problem import Problem
@@ -75,11 +76,11 @@ def test_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
         world = World.build(bendy, solids, clearance=0.03, tracking_error=0.001, sigmas=3.0)
         # From the pedestal a link keeps its own displacement bound; two links keep the bound of the outer relative to
         # the inner.
-        keep = world.clearance + 0.001 * float(bendy.arm.lengths[1:] @ [1, 2])
-        most = world.clearance + float(bendy.sway(0.001).max())
+        keep = world.clearance + 0.001 * float(family_of(bendy).arm.lengths[1:] @ [1, 2])
+        most = world.clearance + float(family_of(bendy).sway(0.001).max())
         # The first link is checked against the pedestal, too, which does not carry its joint: its displacement bound is
         # minimal.
-        least = world.clearance + float(bendy.sway(0.001)[0])
+        least = world.clearance + float(family_of(bendy).sway(0.001)[0])
         for q in rng.uniform(bendy.lower, bendy.upper, (60, bendy.dof)):
             before, after = plain.clearance(q), world.field.clearance(q)
             if before < 0.5:
@@ -96,8 +97,8 @@ def test_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
 def test_each_link_sways_by_its_own(robot: Robot) -> None:
     """Sections equal a thicker arm's; the field and coal have distances less the displacement bound."""
     error, rng = 0.01, np.random.default_rng(4)
-    arm = replace(robot.arm, half_widths=robot.arm.half_widths + robot.sway(error))
-    thicker = robot.with_arm(arm)
+    arm = replace(family_of(robot).arm, half_widths=family_of(robot).arm.half_widths + family_of(robot).sway(error))
+    thicker = with_planar_arm(robot, arm)
     world, plain = World.build(robot, BALLS, tracking_error=error), World.build(robot, BALLS)
     same = World.build(thicker, BALLS)
     for yaw in (0.0, 0.1):
@@ -107,7 +108,9 @@ def test_each_link_sways_by_its_own(robot: Robot) -> None:
     for q in rng.uniform(robot.lower, robot.upper, (20, 4)):
         left, whole = (one.field.link_clearances(q, 100.0)[LINKS] for one in (world, plain))
         # A yawing body's bound is up to 0.2 % above the link's own.
-        np.testing.assert_allclose(left, whole - robot.sway(error), atol=2e-3 * robot.sway(error).max())
+        np.testing.assert_allclose(
+            left, whole - family_of(robot).sway(error), atol=2e-3 * family_of(robot).sway(error).max()
+        )
         own = world.checker.pair_distances(q) - pair_sways(world.checker, np.full((1, 4), error))[:, 0]
         least = min(left.min(), own[-len(world.checker.parts.own) :].min())
         if least > 0.0:
@@ -135,7 +138,7 @@ def test_refusal_of_a_configuration_names_the_largest_error(robot: Robot) -> Non
 
     for q in rng.uniform(robot.lower, robot.upper, (40, 4)):
         distances = World.build(robot, BALLS).checker.distances(q) - 0.01
-        if (distances > robot.sway(0.1)[:, None]).all():
+        if (distances > family_of(robot).sway(0.1)[:, None]).all():
             kinds["free"] += 1
             check(q, 0.1)
             continue
@@ -277,7 +280,7 @@ def test_uncertainty_and_tracking_error_take_from_the_spare_clearance(robot: Rob
     blurred = [solid.model_copy(update={"sigma": 0.01}) for solid in scene.solids]
     world = World.build(robot, blurred, clearance=0.005, tracking_error=1e-2, sigmas=2.0)
     checker = CoalScene(robot, scene.solids)
-    sways = robot.sway(1e-2)[:, None]  # each link its own
+    sways = family_of(robot).sway(1e-2)[:, None]  # each link its own
     tables = [from_obstacles(checker, robot.check_configuration(q, "")) for q in ends]
     plain, expected = (min((table - less).min() for table in tables) - 0.005 - 0.02 for less in (0.0, sways))
     assert plain - sways.max() < expected < plain

@@ -20,6 +20,7 @@ from hplan.base.yaml_text import read_yaml
 from hplan.collision.collision_bodies import collision_bodies
 from hplan.collision.touching_pairs import self_pairs
 from hplan.errors import InputError, RobotFamilyError, RobotFileError
+from hplan.planar.family_reader import family_of, is_planar
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.files import NAMED_ROBOTS, named_robot, read_srdf
 from hplan.robot.limits import rest_to_rest
@@ -40,7 +41,7 @@ TREE = (
 @pytest.mark.parametrize("name", ["panda", "ur3", "ur5", "ur10"])
 def test_robots_by_name(name, tmp_path_factory):
     robot = loaded_arm(name, tmp_path_factory)
-    assert robot.planar is None
+    assert not is_planar(robot)
     assert robot.dof == (7 if name == "panda" else 6)
     assert (robot.acceleration_limit > 0.0).all()
     assert (robot.velocity_limit > 0.0).all()
@@ -74,9 +75,9 @@ def test_joints_off_the_chain_move_on_request(tmp_path):
     assert load_robot(TREE).joint_names == ("column", "left")
     whole = load_robot(TREE, joints=["column", "left", "right"])
     assert whole.joint_names == ("column", "left", "right")
-    assert whole.planar is None
+    assert not is_planar(whole)
     with pytest.raises(RobotFamilyError, match="joint 'right': it is a JointModelP"):
-        assert whole.arm
+        assert family_of(whole)
     with pytest.raises(InputError, match="joints: left, column, right; expected in the robot's order: column, left, r"):
         load_robot(TREE, joints=["left", "column", "right"])
     assert whole.tool_joint == 2

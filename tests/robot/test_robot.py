@@ -19,7 +19,8 @@ from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
 from hplan.base.data_files import urdf_dir
 from hplan.certificate.digests import robot_digest
 from hplan.errors import JointLimitError, OptionError, RobotFamilyError, RobotFileError
-from hplan.robot.base_shapes import turning_shapes
+from hplan.planar.base_shapes import turning_shapes
+from hplan.planar.family_reader import family_of, is_planar
 from hplan.robot.family import HARVESTER, ORCHARD_HARVESTER, cross_check
 from hplan.robot.family.members import ArmSpec, write_robot
 from hplan.robot.files import read_models
@@ -65,14 +66,14 @@ def assert_kinematics_match(robot: Robot) -> None:
     rng = np.random.default_rng(0)
     data = robot.model.createData()
     tool = robot.model.getFrameId(robot.tool_frame)
-    first = 2 if robot.has_yaw else 1
+    first = 2 if family_of(robot).has_yaw else 1
     q = rng.uniform(robot.lower, robot.upper, (50, robot.dof))
     tools = robot.tool_positions(q)
-    points = robot.arm.joint_points(q[:, robot.arm_slice])
+    points = family_of(robot).arm.joint_points(q[:, family_of(robot).arm_slice])
     for i in range(len(q)):
         pin.framesForwardKinematics(robot.model, data, q[i])
         world = [data.oMi[j].translation for j in range(first, robot.model.njoints)] + [data.oMf[tool].translation]
-        origin, axes = robot.plane_at(robot.yaw_of(q[i]))
+        origin, axes = family_of(robot).plane_at(family_of(robot).yaw_of(q[i]))
         in_plane = (np.array(world) - origin) @ axes.T
         np.testing.assert_allclose(in_plane[:, :2], points[i], atol=1e-12)
         np.testing.assert_allclose(in_plane[-1, 2], 0.0, atol=1e-12)
@@ -107,18 +108,18 @@ def test_family(tmp_path, links, has_yaw):
         has_yaw=has_yaw,
     )
     robot = load_robot(write_robot(spec, tmp_path / "cousin.urdf")[0])
-    assert robot.has_yaw is has_yaw
+    assert family_of(robot).has_yaw is has_yaw
     assert robot.joint_names == spec.joint_names
-    assert robot.arm.link_names == spec.arm_link_names
-    np.testing.assert_allclose(robot.arm.lengths, spec.link_lengths, rtol=1e-14)
-    np.testing.assert_allclose(robot.arm.half_widths, spec.link_half_widths, rtol=1e-14)
+    assert family_of(robot).arm.link_names == spec.arm_link_names
+    np.testing.assert_allclose(family_of(robot).arm.lengths, spec.link_lengths, rtol=1e-14)
+    np.testing.assert_allclose(family_of(robot).arm.half_widths, spec.link_half_widths, rtol=1e-14)
     assert robot.lower.tolist() == list(spec.lower)
     assert robot.upper.tolist() == list(spec.upper)
     assert robot.velocity_limit.tolist() == list(spec.velocity)
     assert robot.torque_limit.tolist() == list(spec.effort)
     assert robot.acceleration_limit.tolist() == list(spec.acceleration)
     assert robot.jerk_limit is None
-    np.testing.assert_allclose(robot.plane_origin, [0.0, 0.0, 0.75], rtol=1e-15)
+    np.testing.assert_allclose(family_of(robot).plane_origin, [0.0, 0.0, 0.75], rtol=1e-15)
     assert_kinematics_match(robot)
 
 
@@ -145,8 +146,8 @@ TURNED_ELBOW = origin_of("forearm", 'xyz="1 0 0" rpy="0 -0.3 0"')
 )  # fmt: skip
 def test_members_with_other_zeros(load_edited, edits, signs, offsets):
     robot = load_edited(*edits)
-    assert robot.arm.signs.tolist() == signs
-    np.testing.assert_allclose(robot.arm.offsets, offsets, atol=1e-9)
+    assert family_of(robot).arm.signs.tolist() == signs
+    np.testing.assert_allclose(family_of(robot).arm.offsets, offsets, atol=1e-9)
     assert_kinematics_match(robot)
 
 
@@ -180,8 +181,8 @@ def test_half_width_holds_the_collision_geometry(load_edited, tmp_path, collisio
     triangles = b"".join(struct.pack("<12fH", *(0, 0, 0), *np.ravel(face), 0) for face in faces)
     (tmp_path / "wedge.stl").write_bytes(bytes(80) + struct.pack("<I", len(faces)) + triangles)
     robot = load_edited(collision_of_hand(f"<collision>{collision}</collision>"))
-    assert half_width * (1 - 1e-7) <= robot.arm.half_widths[2] <= half_width * (1 + 1e-7 + tolerance)
-    assert robot.arm.half_widths[:2] == pytest.approx([0.05, 0.04], rel=1e-14)
+    assert half_width * (1 - 1e-7) <= family_of(robot).arm.half_widths[2] <= half_width * (1 + 1e-7 + tolerance)
+    assert family_of(robot).arm.half_widths[:2] == pytest.approx([0.05, 0.04], rel=1e-14)
 
 
 # Robots that are not of the family
@@ -222,7 +223,7 @@ def test_family_faults_name_the_element(load_edited, case):
     no_robot = ("continuous joint", "axis without direction", "no tool frame", "limits swapped", "limits equal")
     of_any_robot = case in no_robot
     with pytest.raises(RobotFileError if of_any_robot else RobotFamilyError) as caught:
-        assert load_edited(*edits).family
+        assert family_of(load_edited(*edits))
     assert message in caught.value.message
     assert of_any_robot or caught.value.robot == "harvester"
     assert caught.value.exit_status == 2
@@ -233,12 +234,12 @@ def test_yaw_axis_down(load_edited, tmp_path):
     path = tmp_path / "harvester.urdf"
     path.write_text(SHIPPED.replace('<axis xyz="0 0 1"/>', '<axis xyz="0 0 -1"/>'))
     with pytest.raises(RobotFamilyError, match="the yaw axis points down"):
-        assert load_robot(path).has_yaw
+        assert family_of(load_robot(path)).has_yaw
     path.write_text(SHIPPED.replace('<axis xyz="0 0 1"/>', '<axis xyz="1 0 0"/>'))
     with pytest.raises(
         RobotFamilyError, match="joint 'base_yaw': it is neither parallel to the next joint nor vertical"
     ):
-        assert load_robot(path).has_yaw
+        assert family_of(load_robot(path)).has_yaw
 
 
 TILTS = {
@@ -265,11 +266,11 @@ def test_slightly_tilted_axes_are_refused_with_advice(load_edited, tmp_path, axi
     path = tmp_path / "harvester.urdf"
     path.write_text(SHIPPED.replace(old, new.format(repr(tilt)), 1))
     with pytest.raises(RobotFamilyError) as caught:
-        assert load_robot(path).has_yaw
+        assert family_of(load_robot(path)).has_yaw
     assert message in caught.value.message
     assert f" by {tilt:.3g} rad, more than the tolerance of 1e-09: write angles in full" in caught.value.message
     path.write_text(SHIPPED.replace(old, new.format("1e-10"), 1))
-    assert load_robot(path).has_yaw
+    assert family_of(load_robot(path)).has_yaw
 
 
 def test_yaw_axis_off_the_origin(load_edited, tmp_path):
@@ -278,8 +279,8 @@ def test_yaw_axis_off_the_origin(load_edited, tmp_path):
     path = tmp_path / "harvester.urdf"
     path.write_text(SHIPPED.replace(old, '<child link="turret"/><origin xyz="0.3 0 0.1"/>'))
     robot = load_robot(path)
-    assert robot.yaw_axis.tolist() == [0.3, 0.0]
-    assert robot.shoulder_from_axis == (0.0, 0.0)
+    assert family_of(robot).yaw_axis.tolist() == [0.3, 0.0]
+    assert family_of(robot).shoulder_from_axis == (0.0, 0.0)
     assert_kinematics_match(robot)
     path.write_text(SHIPPED.replace(old, '<child link="turret"/><origin xyz="0 0 0.1" rpy="0 0 0.7"/>'))
     assert_kinematics_match(load_robot(path))
@@ -298,12 +299,14 @@ def test_displaced_links_belong_to_planar_family(load_edited, case):
     """The plane is the tool's; the bodies of links that are not in it keep their thickness."""
     edit, left, links = ASIDE[case]
     robot = load_edited(edit)
-    assert robot.plane_origin == pytest.approx([0.0, left, 0.6], abs=1e-15)
-    assert robot.shoulder_from_axis == pytest.approx((0.0, -left), abs=1e-15)
-    assert robot.arm.lateral == pytest.approx([left - place for place in links], abs=1e-15)  # the normal is -y
-    assert robot.arm.half_widths == pytest.approx([0.05, 0.04, 0.03], rel=1e-12)
-    assert robot.yaw_radius == pytest.approx(np.hypot([1.0, 1.8, 2.2], links), rel=1e-12)
-    assert robot.tool_radius == pytest.approx(math.hypot(2.2, left), rel=1e-12)
+    assert family_of(robot).plane_origin == pytest.approx([0.0, left, 0.6], abs=1e-15)
+    assert family_of(robot).shoulder_from_axis == pytest.approx((0.0, -left), abs=1e-15)
+    assert family_of(robot).arm.lateral == pytest.approx(
+        [left - place for place in links], abs=1e-15
+    )  # the normal is -y
+    assert family_of(robot).arm.half_widths == pytest.approx([0.05, 0.04, 0.03], rel=1e-12)
+    assert family_of(robot).yaw_radius == pytest.approx(np.hypot([1.0, 1.8, 2.2], links), rel=1e-12)
+    assert family_of(robot).tool_radius == pytest.approx(math.hypot(2.2, left), rel=1e-12)
     assert_kinematics_match(robot)
 
 
@@ -311,9 +314,9 @@ def test_six_axis_arm_with_offsets_is_not_planar(tmp_path):
     (tmp_path / "six.urdf").write_text(six_axis_arm())
     (tmp_path / "six.limits.yaml").write_text(SIX_AXIS_LIMITS)
     robot = load_robot(tmp_path / "six.urdf")
-    assert robot.planar is None
+    assert not is_planar(robot)
     with pytest.raises(RobotFamilyError) as caught:
-        assert robot.arm
+        assert family_of(robot).arm
     assert caught.value.message == (
         "robot 'six_axes' is not a planar arm on an optional yaw: joint 'wrist_2': it is not parallel to joint "
         "'shoulder_lift'; hold={'wrist_2': 0.0} (--hold wrist_2=0) locks it"
@@ -531,12 +534,12 @@ def test_any_spec_survives_the_files(spec, tmp_path):
 def test_offsets_survive_writing_and_reading(tmp_path):
     spec = replace(HARVESTER, name="aside", yaw_axis=(0.3, -0.2), shoulder_offset=0.15, link_offsets=(0.06, -0.02, 0.0))
     robot = load_robot(write_robot(spec, tmp_path / "aside.urdf")[0])
-    assert robot.yaw_axis.tolist() == [0.3, -0.2]
-    assert robot.plane_origin == pytest.approx([0.3, -0.2 + 0.15, 0.6], abs=1e-15)
-    assert robot.plane_axes.tolist() == [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
-    assert robot.shoulder_from_axis == pytest.approx((0.0, -0.15), abs=1e-15)
-    assert robot.arm.lateral.tolist() == [-0.06, 0.02, 0.0]  # the plane's normal is -y
-    assert robot.arm.half_widths == pytest.approx(HARVESTER.link_half_widths, rel=1e-9)
+    assert family_of(robot).yaw_axis.tolist() == [0.3, -0.2]
+    assert family_of(robot).plane_origin == pytest.approx([0.3, -0.2 + 0.15, 0.6], abs=1e-15)
+    assert family_of(robot).plane_axes.tolist() == [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    assert family_of(robot).shoulder_from_axis == pytest.approx((0.0, -0.15), abs=1e-15)
+    assert family_of(robot).arm.lateral.tolist() == [-0.06, 0.02, 0.0]  # the plane's normal is -y
+    assert family_of(robot).arm.half_widths == pytest.approx(HARVESTER.link_half_widths, rel=1e-9)
     (axle,) = turning_shapes(robot)  # the pedestal and the turret's body are round about the yaw axis
     assert axle.radius == pytest.approx(math.hypot(0.15 + 0.06, 0.8 * 0.05), rel=2e-3)
 

@@ -21,13 +21,15 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.collision_bodies import collision_bodies
 from hplan.collision.touching_pairs import required_distances, self_pairs
+from hplan.geometry.shape_outline import coal_distance
+from hplan.planar.base_shapes import turning_shapes
+from hplan.planar.family_reader import family_of
 from hplan.planar.grid.grid import Grid
 from hplan.planar.grid.occupancy import occupancy
+from hplan.planar.self_contact import radius_in_plane, self_contact
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
-from hplan.robot.base_shapes import coal_distance, turning_shapes
 from hplan.robot.model import Robot
-from hplan.robot.self_contact import radius_in_plane, self_contact
 from hplan.scene.obstacles import Sphere
 
 #: Maximum protrusion of the section of a body that carries the arm [m].
@@ -56,9 +58,9 @@ class Truth:
         self.robot, self.data = robot, robot.model.createData()
         self.links = [
             coal.Capsule(float(w), float(length))
-            for w, length in zip(robot.arm.half_widths, robot.arm.lengths, strict=True)
+            for w, length in zip(family_of(robot).arm.half_widths, family_of(robot).arm.lengths, strict=True)
         ]
-        self.moving = 2 if robot.has_yaw else 1
+        self.moving = 2 if family_of(robot).has_yaw else 1
         shapes = enumerate(robot.collision_model.geometryObjects)
         self.base = {str(number): g for number, g in shapes if g.parentJoint < self.moving}
 
@@ -78,7 +80,10 @@ class Truth:
         for number, shape in self.base.items():
             at = data.oMi[shape.parentJoint] * shape.placement
             at = coal.Transform3s(at.rotation, at.translation)
-            shoulder = coal.Sphere(float(robot.arm.half_widths[0])), coal.Transform3s(np.eye(3), axes[0, 0])
+            shoulder = (
+                coal.Sphere(float(family_of(robot).arm.half_widths[0])),
+                coal.Transform3s(np.eye(3), axes[0, 0]),
+            )
             carries = self._distance(*shoulder, shape.geometry, at) <= 0.0
             for link in range(1 if carries else 0, len(self.links)):
                 found[link, number] = self._distance(self.links[link], placed[link], shape.geometry, at)
@@ -113,8 +118,8 @@ def key_of(robot, one, other):
     """The key of two of the robot's bodies in `Truth.distances`; None for parts of bodies, and for two of the base."""
     keys = []
     for body in sorted((one, other), key=lambda body: -body.joint):
-        is_link = body.name in robot.arm.link_names
-        keys.append(robot.arm.link_names.index(body.name) if is_link else str(body.shapes[0]))
+        is_link = body.name in family_of(robot).arm.link_names
+        keys.append(family_of(robot).arm.link_names.index(body.name) if is_link else str(body.shapes[0]))
     return None if isinstance(keys[0], str) or not (one.shapes and other.shapes) else tuple(keys)
 
 
@@ -175,16 +180,18 @@ def test_cspace_against_coal(tmp_path):
     rng = np.random.default_rng(5)
     contacts = 0
     for robot in random_arms(rng, tmp_path, 8):
-        step = math.radians({2: 6.0, 3: 15.0, 4: 16.0}[robot.arm.link_count])
-        grid = joint_grid(robot.arm, step)
+        step = math.radians({2: 6.0, 3: 15.0, 4: 16.0}[family_of(robot).arm.link_count])
+        grid = joint_grid(family_of(robot).arm, step)
         ours = {
-            clearance: occupancy(robot.arm, arm_sections(robot, [], clearance=clearance), grid).occupied_mask.ravel()
+            clearance: occupancy(
+                family_of(robot).arm, arm_sections(robot, [], clearance=clearance), grid
+            ).occupied_mask.ravel()
             for clearance in (0.0, 0.02)
         }
         truth, yaw, known = Truth(robot), rng.uniform(-3.0, 3.0), named_pairs(robot)
         some = rng.permutation(grid.size)[:2000]
         for number, node in zip(some, nodes_of(grid)[some], strict=True):
-            found = truth.distances([yaw, *node] if robot.has_yaw else node)
+            found = truth.distances([yaw, *node] if family_of(robot).has_yaw else node)
             distance = min((d for pair, d in found.items() if pair in known), default=np.inf)
             for clearance, occupied in ours.items():
                 if distance - clearance < -TOUCH:
@@ -205,7 +212,7 @@ def test_four_links_in_the_cspace_are_exact(tmp_path, lengths):
     robot = arm_of(
         tmp_path, [0.0] + [-150.0] * 3, [10.0] + [150.0] * 3, lengths=lengths, widths=(0.05, 0.05, 0.05, 0.05)
     )
-    arm = robot.arm
+    arm = family_of(robot).arm
     grid = Grid.from_limits(arm.lower, arm.upper, np.radians([10.0, 6.0, 6.0, 6.0]))
     sections = arm_sections(robot, [])
     pairs = {(int(link), int(other)) for link, other, _ in sections.own_pairs}
@@ -287,7 +294,7 @@ def test_judge_against_coal(tmp_path):
         assert checker.own_first == 1
         configurations = rng.uniform(robot.lower, robot.upper, (40, robot.dof))
         for q, touching in zip(configurations, checker.in_collision(configurations), strict=True):
-            rows = [checker.link_names.index(name) for name in robot.arm.link_names]
+            rows = [checker.link_names.index(name) for name in family_of(robot).arm.link_names]
             expected = coal_distances(robot, q, obstacles)[:, 0]
             np.testing.assert_allclose(
                 from_obstacles(checker, q)[rows, 0].clip(min=0.0), expected.clip(min=0.0), atol=1e-5

@@ -11,6 +11,7 @@ from planned import between_twigs
 from hplan.certificate.certificate import Certificate, certify
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, CertificationError, NoPathError
+from hplan.planar.family_reader import family_of
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot
@@ -109,7 +110,7 @@ def beside_the_tip(robot: Robot, joint: int, gap: float) -> Sphere:
     """A ball `gap` from the tip of the level stretched arm, in a joint's turning direction."""
     tip = robot.tool_positions(np.zeros(4))
     turn = robot.tool_positions(1e-6 * np.eye(4)[joint]) - tip
-    out = (robot.arm.half_widths[-1] + 0.02 + gap) * turn / np.linalg.norm(turn)
+    out = (family_of(robot).arm.half_widths[-1] + 0.02 + gap) * turn / np.linalg.norm(turn)
     return Sphere(name="bead", center=tuple((tip + out).tolist()), radius=0.02)
 
 
@@ -226,4 +227,4 @@ def test_refusal_names_largest_possible_tracking_error(robot: Robot, delay_s: fl
         asked = {"tracking_error": factor * share * error, "tracking_delay_s": factor * share * delay_s}
         assert certify(robot, scene, motion, **asked).verified == shown
     if delay_s == 0.0:
-        assert robot.sway(share * error)[-1] == pytest.approx(gap, rel=0.01)
+        assert family_of(robot).sway(share * error)[-1] == pytest.approx(gap, rel=0.01)

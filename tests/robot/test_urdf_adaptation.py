@@ -19,6 +19,7 @@ from hplan.base.data_files import urdf_dir
 from hplan.certificate.certificate import certify
 from hplan.certificate.digests import robot_digest
 from hplan.errors import InputError, JointLimitError, RobotFamilyError, RobotFileError, RobotFileWarning
+from hplan.planar.family_reader import family_of
 from hplan.robot.model import Robot, load_robot
 from hplan.robot.urdf_adaptation import CONTINUOUS_RANGE
 from hplan.scene.model import Goal, Scene, Start
@@ -132,16 +133,16 @@ def test_fingers_are_held_with_their_mass_and_shapes(load, plain):
     # At the limit nearest to 0, and as it mimics.
     assert robot.held == {"grip": 0.01, "grip_too": pytest.approx(-0.014)}
     assert robot.joint_names == plain.joint_names
-    np.testing.assert_array_equal(robot.arm.lengths, plain.arm.lengths)
+    np.testing.assert_array_equal(family_of(robot).arm.lengths, family_of(plain).arm.lengths)
     assert_is_part_of(robot, text)
     # Corners of the boxes: 0.35 to 0.41 m along the hand of 0.4 m, 5 mm beyond the finger, 10 mm high.
-    assert robot.arm.half_widths.tolist() == pytest.approx([0.05, 0.04, 0.03], rel=1e-12)
+    assert family_of(robot).arm.half_widths.tolist() == pytest.approx([0.05, 0.04, 0.03], rel=1e-12)
     wide = load(text, hold={"grip": 0.05})
     assert wide.held == {"grip": 0.05, "grip_too": pytest.approx(-0.074)}
     # One reaches 79 mm to one side, the other, which is turned, about 50 mm to the other: the capsule is between.
-    beside = abs(float(wide.arm.lateral[2]))
+    beside = abs(float(family_of(wide).arm.lateral[2]))
     assert beside == pytest.approx(0.012, abs=3e-3)
-    assert wide.arm.half_widths[2] == pytest.approx(math.hypot(0.01, 0.01, 0.079 - beside), rel=1e-6)
+    assert family_of(wide).arm.half_widths[2] == pytest.approx(math.hypot(0.01, 0.01, 0.079 - beside), rel=1e-6)
     assert_is_part_of(wide, text)
 
 
@@ -151,7 +152,7 @@ def test_turned_side_branch(load, plain):
         robot = load(text, hold={"pan": value})
         assert robot.held == {"pan": value}
         assert_is_part_of(robot, text)
-        np.testing.assert_array_equal(robot.arm.half_widths, plain.arm.half_widths)
+        np.testing.assert_array_equal(family_of(robot).arm.half_widths, family_of(plain).arm.half_widths)
         assert len(robot.collision_model.geometryObjects) == len(plain.collision_model.geometryObjects) + 1
 
 
@@ -161,7 +162,7 @@ def test_joint_of_the_chain_is_held(load, options):
     bend = options.get("hold", {}).get("wrist", 0.0)
     assert robot.joint_names == ("base_yaw", "shoulder", "elbow")
     assert robot.held == {"wrist": bend}
-    assert robot.arm.lengths[1] == pytest.approx(abs(0.8 + 0.4 * np.exp(1j * bend)), rel=1e-14)
+    assert family_of(robot).arm.lengths[1] == pytest.approx(abs(0.8 + 0.4 * np.exp(1j * bend)), rel=1e-14)
     assert_is_part_of(robot, SHIPPED)
 
 
@@ -213,7 +214,7 @@ REFUSED = {
 def test_refusal_names_the_remedy(load, case):
     text, options, kind, message = REFUSED[case]
     with pytest.raises(kind) as caught:
-        assert load(text, **options).family
+        assert family_of(load(text, **options))
     assert type(caught.value) is kind
     assert message in str(caught.value)
 
@@ -221,7 +222,7 @@ def test_refusal_names_the_remedy(load, case):
 def test_advice_works(load):
     """The advice of the messages above is accepted."""
     assert load(edited(MIMIC), hold={"elbow": 0.3}).held == {"elbow": 0.3, "wrist": 0.3}
-    assert load(edited(CONTINUOUS, ('velocity="1.5"', "")), hold={"base_yaw": 1.0}).has_yaw is False
+    assert family_of(load(edited(CONTINUOUS, ('velocity="1.5"', "")), hold={"base_yaw": 1.0})).has_yaw is False
     lifted = load(edited(more=LIFT), hold={"mount": 0.02})
     assert lifted.held == {"mount": 0.02}
     base = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, 0.7), np.array([3.0, -2.0, 0.52]))
@@ -335,7 +336,7 @@ def test_shapes_of_mount_are_kept(load):
     np.testing.assert_allclose(shape.placement.homogeneous, expected.homogeneous, atol=1e-15)
     # Not from one link to the other: the whole tilts by nothing, where one tilts and the next tilts back.
     tilted = cart.replace('rpy="0 0 0.5"', 'rpy="0 0.3 0"').replace('rpy="0 0 1"', 'rpy="0 -0.3 0"')
-    assert load(edited(more=tilted)).has_yaw
+    assert family_of(load(edited(more=tilted))).has_yaw
 
 
 # Meshes of packages
@@ -372,9 +373,9 @@ def test_mesh_of_a_package_is_a_capsule_about_its_link(tmp_path, stl, options):
     shutil.copy(LIMITS, folder / "robot.limits.yaml")
     dirs = [folder / name for name in options.get("package_dirs", ())]
     robot = load_robot(folder / "robot.urdf", package_dirs=dirs)
-    assert robot.arm.half_widths[2] == pytest.approx(0.06, rel=1e-6)
+    assert family_of(robot).arm.half_widths[2] == pytest.approx(0.06, rel=1e-6)
     (folder / "robot.urdf").write_text(MESH.replace("package://arm_description/meshes/hand.stl", stl))
-    assert load_robot(folder / "robot.urdf").arm.half_widths[2] == robot.arm.half_widths[2]
+    assert family_of(load_robot(folder / "robot.urdf")).arm.half_widths[2] == family_of(robot).arm.half_widths[2]
 
 
 def test_mesh_that_is_nowhere(tmp_path):
@@ -387,7 +388,7 @@ def test_mesh_that_is_nowhere(tmp_path):
     for word in ("package://arm_description/meshes/hand.stl", str(tmp_path / "given"), str(folder), "--package-dir"):
         assert word in str(caught.value)
     assert re.search(r"line \d+: mesh", str(caught.value))
-    assert load_robot(folder / "robot.urdf", limits=LIMITS, package_dirs=[tmp_path]).arm.link_count == 3
+    assert family_of(load_robot(folder / "robot.urdf", limits=LIMITS, package_dirs=[tmp_path])).arm.link_count == 3
 
 
 # Texts, xacro, limits
@@ -425,7 +426,7 @@ def test_xacro_itself(tmp_path):
     text = text.replace('<origin xyz="0.4 0 0"/>\n  </joint>', '<origin xyz="${hand} 0 0"/></joint>')
     (tmp_path / "robot.urdf.xacro").write_text(text)
     robot = load_robot(tmp_path / "robot.urdf.xacro", limits=LIMITS)
-    assert robot.arm.lengths.tolist() == pytest.approx([1.0, 0.8, 0.5])
+    assert family_of(robot).arm.lengths.tolist() == pytest.approx([1.0, 0.8, 0.5])
 
 
 # Where robots go

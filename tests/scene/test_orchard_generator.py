@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from hplan.base.data_files import scenes_dir
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.errors import OptionError
+from hplan.planar.family_reader import family_of
 from hplan.robot.model import load_robot
 from hplan.scene.file import dump_scene, load_scene
 from hplan.scene.obstacles import Capsule, Sphere
@@ -118,7 +119,7 @@ def within_reach(robot, point, *, clear_of=None) -> bool:
 
     The other two joints are in closed form.
     """
-    lengths = robot.arm.lengths
+    lengths = family_of(robot).arm.lengths
     yaw, z = math.atan2(point[1], point[0]), point[2] - 0.6
     for angle in np.radians(np.arange(0.0, 270.5, 1.0)):
         x, y = math.hypot(*point[:2]) - lengths[2] * math.cos(angle), z - lengths[2] * math.sin(angle)

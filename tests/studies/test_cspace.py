@@ -21,6 +21,7 @@ from studies.validation.cspace import (
 )
 
 from hplan.collision.clearance_field import ClearanceField
+from hplan.planar.family_reader import family_of
 from hplan.planar.grid.grid import Grid, Occupancy
 from hplan.planar.grid.occupancy import occupancy
 from hplan.planar.grid.prepared_obstacles import prepare_obstacles
@@ -75,7 +76,7 @@ def test_nothing_in_contact_is_free(robot: Robot, kind: str) -> None:
         for q in touching:
             node = Grid(q[1:], np.ones(robot.dof - 1), (1,) * (robot.dof - 1))
             sections = sections_at(robot, bodies, float(q[0]))
-            assert occupancy(robot.arm, sections, node).occupied_count == 1, (number, q)
+            assert occupancy(family_of(robot).arm, sections, node).occupied_count == 1, (number, q)
             # Hulls protrude from a mesh and balls from points; elsewhere the difference is coal's accuracy.
             assert -5e-6 - 2e-3 * (kind in ("mesh", "points")) <= field.clearance(q) <= 1e-11
     assert looked_at > 20

@@ -88,7 +88,7 @@ _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
         {"nargs": "+", "action": "extend", "default": [], "metavar": "NAME=RAD"}),
     ("parts", "--tool-frame", "frame at the end of the arm (default: tool0, or the named robot's)",
         {"metavar": "NAME"}),
-    ("parts", "--srdf", "SRDF file with the pairs of links that may touch, for general (non-planar) arms",
+    ("parts", "--srdf", "SRDF file with the pairs of links that may touch",
         {"type": Path, "metavar": "FILE"}),
     ("parts", "--allow-neighbours", "let links touch that have one joint between them", {"action": "store_true"}),
     ("parts", "--package-dir", "folder that is searched first for packages and meshes; may be repeated",

@@ -35,8 +35,7 @@ if TYPE_CHECKING:
 
 _EPILOG = """\
 Without a drop-off a picked fruit does not change the arm's shape. On the way to
-a drop-off the last link is as thick as the thickest fruit; a general
-(non-planar) arm carries a ball of that size at its tool.
+a drop-off it carries a ball of the thickest fruit's size at its tool.
 Fruits that are blocked by other fruits are picked after those. Unreachable
 fruits are listed with the reason. Times are those of the motions, without
 gripping and releasing.

@@ -204,8 +204,8 @@ class Execution(Record):
 def execute(robot: Robot, scene: Scene, motion: Movement, plant: Plant | None = None) -> Execution:
     """Execute a motion on a simulated arm among a scene's obstacles.
 
-    The arm starts at the position and velocity of the motion's first sample. All links take part, also links that no
-    planar joint moves: a turret that strikes an obstacle is a contact.
+    The arm starts at the position and velocity of the motion's first sample. All links take part: a turret that strikes
+    an obstacle is a contact.
 
     Args:
         robot: The arm; MuJoCo reads its URDF.
@@ -353,6 +353,7 @@ def _joints(robot: Robot, scene: Scene, which: str, end: FloatArray) -> FloatArr
     joints = robot.joints_of(scene.start if which == "start" else scene.goal, which)
     if joints is None:
         return None
+    robot = robot.about(end)
     return robot.check_configuration(robot.turned_near(joints, end) if which == "goal" else joints, which)
 
 

@@ -13,7 +13,7 @@ from hplan.base.arrays import BoolArray
 from hplan.planar.grid.grid import Grid
 from hplan.planar.grid.occupancy import occupancy
 from hplan.planar.grid.sections import ArmSections, meeting_pairs, select_sections
-from hplan.robot.planar_family import PlanarArm
+from hplan.planar.planar_family import PlanarArm
 
 
 def blockers(arm: PlanarArm, sections: ArmSections, grid: Grid, reached: BoolArray) -> list[dict[str, Any]]:

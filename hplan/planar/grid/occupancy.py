@@ -37,8 +37,8 @@ from hplan.errors import InputError
 from hplan.planar.grid.grid import Grid, Occupancy
 from hplan.planar.grid.rectangle_link import rectangle_half_angles
 from hplan.planar.grid.sections import LINK_MODELS, ArmSections, SectionArrays
-from hplan.robot.planar_family import PlanarArm
-from hplan.robot.self_contact import part_of_arm
+from hplan.planar.planar_family import PlanarArm
+from hplan.planar.self_contact import part_of_arm
 
 _CAPSULE, _PAPER, _RECTANGLE = range(len(LINK_MODELS))
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)

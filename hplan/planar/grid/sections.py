@@ -14,9 +14,9 @@ points grown by a radius.
 
 `hplan.planar.grid.hull_section` describes the computation of the polygon.
 
-If the arm can touch itself (`hplan.robot.self_contact`), turret and pedestal are additional obstacles to the links that
-can touch them. Shapes that turn with the arm plane or are round about the yaw axis have the same section at every yaw.
-Contact between links is stored as pairs, because the links' relative pose depends on the joints.
+If the arm can touch itself (`hplan.planar.self_contact`), turret and pedestal are additional obstacles to the links
+that can touch them. Shapes that turn with the arm plane or are round about the yaw axis have the same section at every
+yaw. Contact between links is stored as pairs, because the links' relative pose depends on the joints.
 """
 
 from __future__ import annotations
@@ -32,14 +32,15 @@ import numpy as np
 from hplan.base.arguments import one_of
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen, readonly
 from hplan.errors import OptionError
+from hplan.planar.base_shapes import BaseShape
+from hplan.planar.family_reader import family_of
 from hplan.planar.grid.cutting_arrays import ArmPlane, LinkExtents
 from hplan.planar.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
 from hplan.planar.grid.section_kernels import cut_balls, cut_hulls
 from hplan.planar.own_contact import checked_contact
+from hplan.planar.self_contact import SelfContact, radius_in_plane
 from hplan.planning.options import LinkModel
-from hplan.robot.base_shapes import BaseShape
 from hplan.robot.model import Robot
-from hplan.robot.self_contact import SelfContact, radius_in_plane
 
 #: The capsule, the paper's three cases verbatim, or the exact rectangle.
 LINK_MODELS: tuple[LinkModel, ...] = get_args(LinkModel)
@@ -164,16 +165,16 @@ def _cut_sections(
 ) -> ArmSections:
     """Sections of the obstacles, without the arm's own parts."""
     rectangle = link_model == "rectangle"
-    widths, none = robot.arm.half_widths, np.zeros(robot.arm.link_count)
+    widths, none = family_of(robot).arm.half_widths, np.zeros(family_of(robot).arm.link_count)
     # A box link's corner is farther out than its axis; capsules have their width in the section.
-    reaches = np.cumsum(robot.arm.lengths) + (widths if rectangle else none)
+    reaches = np.cumsum(family_of(robot).arm.lengths) + (widths if rectangle else none)
     links = LinkExtents(
-        growth=(none if rectangle else widths) + robot.sway(obstacles.deviation),
+        growth=(none if rectangle else widths) + family_of(robot).sway(obstacles.deviation),
         depths=np.array(widths) if rectangle else none,
         reaches=reaches if within_reach else np.full(len(reaches), np.inf),
-        lateral=np.array(robot.arm.lateral),
+        lateral=np.array(family_of(robot).arm.lateral),
     )
-    origin, axes = (np.ascontiguousarray(array) for array in robot.plane_at(yaw))
+    origin, axes = (np.ascontiguousarray(array) for array in family_of(robot).plane_at(yaw))
     plane = ArmPlane(origin, axes)
     cut = cut_balls(obstacles.balls, plane, links)
     if len(obstacles.hulls.owners):
@@ -199,7 +200,7 @@ def _with_own_pairs(
 
     For every link model.
     """
-    arm, count = robot.arm, len(sections.obstacle_names)
+    arm, count = family_of(robot).arm, len(sections.obstacle_names)
     touched = sorted({i for i, _ in contact.links})
     # A link relative to an earlier link: each link between turns it, and all later links with it.
     sways = [obstacles.deviation * float(arm.lengths[i + 1 : j + 1] @ range(1, j - i + 1)) for i, j in contact.links]

@@ -19,6 +19,7 @@ from hplan.base.deadline import check_deadline, is_up, kernel_time_limit
 from hplan.base.forking import renewed_in_children
 from hplan.base.kernels import kernel
 from hplan.errors import OptionError
+from hplan.planar.family_reader import family_of
 from hplan.planar.grid.grid import Grid, Occupancy, words_for
 from hplan.planar.grid.occupancy import occupancy
 from hplan.planar.grid.prepared_obstacles import PreparedObstacles
@@ -92,7 +93,7 @@ class LayerCache:
         key = b"".join(part.tobytes() for part in (*parts, sections.vertices, sections.radii, sections.own_radii))
         found = self._held.get(key)
         if found is None:
-            found = occupancy(robot.arm, sections, planar).free_words
+            found = occupancy(family_of(robot).arm, sections, planar).free_words
             self._keep(key, found)
         return found
 

@@ -17,6 +17,7 @@ from hplan.apps.view.playback import Playback
 from hplan.base.arrays import FloatArray, frozen
 from hplan.errors import InputError, OptionError
 from hplan.geometry.polyline import stations
+from hplan.planar.family_reader import family_of
 from hplan.planar.grid.grid import Grid
 from hplan.planar.pages.cspace_surface import hidden_by_surface
 from hplan.planning.options import PlanOptions
@@ -96,7 +97,7 @@ def yaw_section(
     end = min((phase.end_s for phase in playback.phases if phase.name == "approach"), default=trajectory.duration)
     rows = trajectory.time <= end + 1e-9
     motion, times = trajectory.position[rows], trajectory.time[rows]
-    at = robot.yaw_of(motion[-1]) if yaw is None else yaw
+    at = family_of(robot).yaw_of(motion[-1]) if yaw is None else yaw
     choice = PlanOptions() if options is None else options
     world = World.build(
         robot,
@@ -106,7 +107,7 @@ def yaw_section(
         sigmas=choice.sigmas,
         yield_links=scene.yield_links,
     )
-    planar = robot.arm_slice
+    planar = family_of(robot).arm_slice
     along = stations(motion)
     # Samples coincide while the arm rests.
     moving = np.concatenate([[True], np.diff(along) > 0.0])
@@ -118,7 +119,7 @@ def yaw_section(
         grid=grid,
         field=_field(robot, world, grid, at),
         path=frozen(np.ascontiguousarray(path[:, planar])),
-        yaw_distance=frozen(np.abs(path[:, 0] - at) if robot.has_yaw else np.zeros(len(path))),
+        yaw_distance=frozen(np.abs(path[:, 0] - at) if family_of(robot).has_yaw else np.zeros(len(path))),
         times=frozen(np.interp(evenly, along[moving], times[moving])),
         joint_names=robot.joint_names[planar],
     )
@@ -133,21 +134,21 @@ def check_yaw(robot: Robot, yaw: float | None) -> None:
         InputError: The arm does not have three planar joints.
         OptionError: The yaw is not finite, is beyond the limits, or is nonzero for an arm without yaw.
     """
-    if robot.arm.link_count != 3:
+    if family_of(robot).arm.link_count != 3:
         raise InputError(
-            f"the C-space view requires three planar joints; {robot.name!r} has {robot.arm.link_count}",
-            expected=3, got=robot.arm.link_count,
+            f"the C-space view requires three planar joints; {robot.name!r} has {family_of(robot).arm.link_count}",
+            expected=3, got=family_of(robot).arm.link_count,
         )  # fmt: skip
-    low, high = (float(robot.lower[0]), float(robot.upper[0])) if robot.has_yaw else (0.0, 0.0)
+    low, high = (float(robot.lower[0]), float(robot.upper[0])) if family_of(robot).has_yaw else (0.0, 0.0)
     if yaw is not None and not low - 1e-9 <= yaw <= high + 1e-9:
         words = f"degrees from {math.degrees(low):.6g} to {math.degrees(high):.6g}"
         raise OptionError("yaw", math.degrees(yaw), words)
 
 
 def _grid(robot: Robot) -> Grid:
-    span = robot.arm.upper - robot.arm.lower
+    span = family_of(robot).arm.upper - family_of(robot).arm.lower
     step = max(math.radians(_STEP_DEG), float(np.prod(span) / _MOST_NODES) ** (1.0 / 3.0))
-    return Grid.from_limits(robot.arm.lower, robot.arm.upper, step)
+    return Grid.from_limits(family_of(robot).arm.lower, family_of(robot).arm.upper, step)
 
 
 def _field(robot: Robot, world: World, grid: Grid, yaw: float) -> FloatArray:
@@ -155,7 +156,7 @@ def _field(robot: Robot, world: World, grid: Grid, yaw: float) -> FloatArray:
     q = np.full(robot.dof, yaw)
     field = np.empty(grid.size)
     for number, index in enumerate(np.ndindex(*grid.shape)):
-        q[robot.arm_slice] = grid.coordinates(index)
+        q[family_of(robot).arm_slice] = grid.coordinates(index)
         field[number] = world.field.clearance(q)
     # Interpolating the surface needs finite values, and clearance is infinite without obstacles.
     return frozen(np.minimum(field, 1e3).reshape(grid.shape))

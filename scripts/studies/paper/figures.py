@@ -19,6 +19,7 @@ from studies.paper.plain import path_found
 from hplan.apps.view import figures as look
 from hplan.apps.view.figures import apply_style, new_figure
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
+from hplan.planar.family_reader import family_of
 from hplan.planar.grid.grid import Grid
 from hplan.planar.pages.cspace_surface import draw_cspace_obstacle, hidden_by_surface, joint_box, panes
 
@@ -87,7 +88,7 @@ def half_angles(rho: ArrayLike, length: float, radius: float) -> FloatArray:
 
 def _clearance(evidence: Evidence, nodes: FloatArray, links: int) -> FloatArray:
     """(n,) distance of the first capsule links from the disc at (n, 3) configurations, negative inside [m]."""
-    arm = evidence.robot.arm
+    arm = family_of(evidence.robot).arm
     points, clearance = arm.joint_points(nodes), np.full(len(nodes), np.inf)
     for k in range(links):
         begin, along = points[:, k], points[:, k + 1] - points[:, k]
@@ -101,7 +102,9 @@ def _clearance(evidence: Evidence, nodes: FloatArray, links: int) -> FloatArray:
 def _field(evidence: Evidence) -> FloatArray:
     """(N1, N2, N3) distance of the links from the disc at the nodes of the joint grid, negative inside [m]."""
     grid = evidence.occupancy.grid
-    return _clearance(evidence, _mesh(grid).reshape(-1, 3), evidence.robot.arm.link_count).reshape(grid.shape)
+    return _clearance(evidence, _mesh(grid).reshape(-1, 3), family_of(evidence.robot).arm.link_count).reshape(
+        grid.shape
+    )
 
 
 def _mesh(grid: Grid) -> FloatArray:
@@ -187,7 +190,7 @@ def _links(axes: Any, points: FloatArray, widths: Sequence[float], colors: Seque
 
 def _arm(axes: Any, evidence: Evidence, q: FloatArray, alpha: float = 1.0) -> FloatArray:
     """The arm in its plane; returns the position of the tool."""
-    arm = evidence.robot.arm
+    arm = family_of(evidence.robot).arm
     points = arm.joint_points(q)
     _links(axes, points, arm.half_widths.tolist(), look.LINKS, alpha)
     tool: FloatArray = points[-1]
@@ -287,9 +290,9 @@ def link_case(case: int) -> Figure:
 def two_links(evidence: Evidence) -> Figure:
     """Figure 5: forbidden angles of the second link over theta1, by equations (1)-(3) and on the grid."""
     arm, grid, radius = (
-        evidence.robot.arm,
+        family_of(evidence.robot).arm,
         evidence.occupancy.grid,
-        evidence.radius + float(evidence.robot.arm.half_widths[1]),
+        evidence.radius + float(family_of(evidence.robot).arm.half_widths[1]),
     )
     figure = new_figure(11.0, 5.2, "Two links and a circle: which angles of link 2 are forbidden")
     left, right = figure.subplots(1, 2)
@@ -376,7 +379,7 @@ def arm_and_obstacle(evidence: Evidence) -> Figure:
         axes.text(tool[0], tool[1] + 0.08, text, color=color, ha="center", fontweight="bold", zorder=9)
     (x, y), radius = evidence.centre, evidence.radius
     axes.text(x + 1.2 * radius, y + radius, f"obstacle ({x:g}, {y:g}) m, radius {radius:g} m")
-    _plane(axes, evidence.robot.arm.joint_points(q), 0.25)
+    _plane(axes, family_of(evidence.robot).arm.joint_points(q), 0.25)
     return figure
 
 
@@ -456,7 +459,7 @@ def snapshots(evidence: Evidence) -> Figure:
     """Figure 13: eight points of the path, start and goal among them, each with its joint angles and clearance."""
     path = path_found(evidence.plain.second)
     q, clearance = evidence.occupancy.grid.coordinates(path), _field(evidence)[tuple(path.T)]
-    points = evidence.robot.arm.joint_points(q)
+    points = family_of(evidence.robot).arm.joint_points(q)
     title = f"Execution of the path of {len(path)} points: smallest clearance at a point {1e3 * clearance.min():.1f} mm"
     figure = new_figure(12.0, 5.9, title)
     drawn = np.rint(np.linspace(0, len(path) - 1, 8)).astype(int).tolist()
@@ -493,7 +496,7 @@ def _draw_motion(axes: Any, evidence: Evidence, path: IntArray, color: str) -> N
     for index in np.rint(np.linspace(0, len(q) - 1, 9)).astype(int).tolist():
         _arm(axes, evidence, q[index], 1.0 if index in (0, len(q) - 1) else 0.25)
     _disc(axes, evidence.centre, evidence.radius)
-    points = evidence.robot.arm.joint_points(q)
+    points = family_of(evidence.robot).arm.joint_points(q)
     axes.plot(*points[:, -1].T, color=color, lw=2.2, zorder=6)
     _ends(axes, points[:, -1])
     _plane(axes, points)

@@ -14,6 +14,7 @@ from studies.paper.plain import RESTORATIONS, PlainTwoLevel, Restoration, path_f
 from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.base.arrays import FloatArray, IntArray
+from hplan.planar.family_reader import family_of
 from hplan.planar.grid import SearchResult, dense_search, slices_with_path, two_level_search
 from hplan.planar.grid import occupancy as cspace
 from hplan.planar.grid.grid import Grid, Occupancy
@@ -119,14 +120,16 @@ def measure(repetitions: int = 5, report: Callable[[str], None] = lambda _: None
     `report` is called with the current step.
     """
     robot, scene = load_robot(), load_scene()
-    grid = joint_grid(robot.arm, math.radians(1.0))
-    start, goal = (grid.nearest_node(end.configuration[robot.arm_slice]) for end in (scene.start, scene.goal))
+    grid = joint_grid(family_of(robot).arm, math.radians(1.0))
+    start, goal = (
+        grid.nearest_node(end.configuration[family_of(robot).arm_slice]) for end in (scene.start, scene.goal)
+    )
     spaces: dict[LinkModel, Occupancy] = {}
     models = []
     for model in LINK_MODELS:
         report(f"link model {model}")
         sections = arm_sections(robot, scene.solids, link_model=model)
-        spaces[model], ms = _timed(lambda sections=sections: cspace.occupancy(robot.arm, sections, grid), 20)  # type: ignore[misc]
+        spaces[model], ms = _timed(lambda sections=sections: cspace.occupancy(family_of(robot).arm, sections, grid), 20)  # type: ignore[misc]
         models.append(_model_row(model, spaces[model], start, goal) | {"cspace_ms": ms})
     space = spaces["capsule"]
     report("searches")
@@ -161,7 +164,7 @@ def measure(repetitions: int = 5, report: Callable[[str], None] = lambda _: None
         demo={"dense": _run(*demo_dense), "two-level": _run(*demo_two)},
         without=(len(without), sum(letter.expansions[number] for number in without)),
     )
-    origin, axes = robot.plane_at(0.0)
+    origin, axes = family_of(robot).plane_at(0.0)
     disc, sections = scene.solids[0], arm_sections(robot, scene.solids)
     centre = ((disc.core - origin) @ axes.T)[0, :2]
     found = Evidence(robot, centre, disc.rounding, sections, space, start, goal, dense, letter, demo[0], demo_two[0])

@@ -17,6 +17,7 @@ from studies.validation.motions import COUNTED, Tally
 from hplan.certificate.certificate import certify
 from hplan.collision.giving_way import HANGING_M
 from hplan.errors import BlockedError, HplanError
+from hplan.planar.family_reader import family_of
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
@@ -77,10 +78,10 @@ def _scene(robot: Robot, rng: np.random.Generator, trees: Sequence[Path]) -> tup
 def _capsule_arm(robot: Robot) -> Arm:
     """The arm of the URDF with the capsules of its links, as hplan certifies them."""
     arm = Arm(robot.urdf_path, tool_frame=robot.tool_frame)
-    arm.bodies = [body for body in arm.bodies if body.joint <= robot.arm_slice.start] + [
+    arm.bodies = [body for body in arm.bodies if body.joint <= family_of(robot).arm_slice.start] + [
         _capsule(body)
         for body in arm.bodies
-        if body.joint > robot.arm_slice.start and isinstance(body.shape, coal.Cylinder)
+        if body.joint > family_of(robot).arm_slice.start and isinstance(body.shape, coal.Cylinder)
     ]
     return arm
 
@@ -103,7 +104,7 @@ def _check(robot: Robot, arm: Arm, scene: Scene, result: PlanResult, tally: Tall
         inside |= (clock >= window.from_s) & (clock <= window.to_s)
     tally.checked["motions"] += 1
     tally.ticks += len(clock)
-    links = set(scene.yield_links or (*robot.arm.link_names[-2:], robot.tool_frame))
+    links = set(scene.yield_links or (*family_of(robot).arm.link_names[-2:], robot.tool_frame))
     reported: dict[tuple[str, str], float] = {}
     for push in certificate.pushes or ():
         reported[push.link, push.obstacle] = max(reported.get((push.link, push.obstacle), 0.0), push.depth_m)

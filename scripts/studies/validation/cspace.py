@@ -29,6 +29,7 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import triangle_tree
 from hplan.collision.geometry_pairs import GeometryPairs
 from hplan.geometry.cloud import Cloud
+from hplan.planar.family_reader import family_of
 from hplan.planar.grid.grid import Grid
 from hplan.planar.grid.occupancy import occupancy
 from hplan.planar.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
@@ -57,17 +58,19 @@ SCENES, CONFIGURATIONS, NODES, EXAMPLES = 20, 20_000, 1_000, 5
 def random_scene(robot: Robot, kind: str, number: int, *, seed: int = 0) -> tuple[Scene, tuple[float, float]]:
     """A scene of one kind of obstacle near random links, and the range of yaws at which the arm meets it."""
     rng = np.random.default_rng([seed, KINDS.index(kind), number])
-    low, high = (robot.lower[0], robot.upper[0]) if robot.has_yaw else (0.0, 0.0)
+    low, high = (robot.lower[0], robot.upper[0]) if family_of(robot).has_yaw else (0.0, 0.0)
     middle = rng.uniform(low, high)
     sector = max(low, middle - SECTOR), min(high, middle + SECTOR)
 
     def place(size: float) -> FloatArray:
         """A point near the axis of a random link, away from the shoulder."""
         while True:
-            points = robot.arm.joint_points(rng.uniform(robot.arm.lower, robot.arm.upper))
-            link = int(rng.integers(robot.arm.link_count))
+            points = family_of(robot).arm.joint_points(
+                rng.uniform(family_of(robot).arm.lower, family_of(robot).arm.upper)
+            )
+            link = int(rng.integers(family_of(robot).arm.link_count))
             on_axis = points[link] + rng.random() * (points[link + 1] - points[link])
-            origin, axes = robot.plane_at(float(rng.uniform(*sector)))
+            origin, axes = family_of(robot).plane_at(float(rng.uniform(*sector)))
             found: FloatArray = origin + on_axis @ axes[:2] + direction(rng) * rng.random() * (size + 0.05)
             if np.linalg.norm(found - origin) >= size + OFF_SHOULDER or rng.random() < 0.05:
                 return found
@@ -162,19 +165,19 @@ def _at_random_yaws(
     q, occupied = [], []
     for grid in _random_grids(robot, configurations, rng):
         yaw = float(rng.uniform(*sector))
-        occupied.append(occupancy(robot.arm, sections_at(robot, bodies, yaw), grid).occupied_mask.ravel())
+        occupied.append(occupancy(family_of(robot).arm, sections_at(robot, bodies, yaw), grid).occupied_mask.ravel())
         planar = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
-        q.append(np.column_stack([np.full(len(planar), yaw), planar]) if robot.has_yaw else planar)
+        q.append(np.column_stack([np.full(len(planar), yaw), planar]) if family_of(robot).has_yaw else planar)
     return np.concatenate(q), np.concatenate(occupied)
 
 
 def _random_grids(robot: Robot, nodes: int, rng: np.random.Generator) -> Iterator[Grid]:
     """Grids of at least `nodes` nodes in total, each with a random offset within its cells."""
-    links = robot.arm.link_count
+    links = family_of(robot).arm.link_count
     count = max(2, math.floor(min(nodes, NODES) ** (1.0 / links) + 1e-9))
-    step = (robot.arm.upper - robot.arm.lower) / count
+    step = (family_of(robot).arm.upper - family_of(robot).arm.lower) / count
     for _ in range(math.ceil(nodes / count**links)):
-        yield Grid(robot.arm.lower + rng.random(links) * step, step, (count,) * links)
+        yield Grid(family_of(robot).arm.lower + rng.random(links) * step, step, (count,) * links)
 
 
 class CoalWithShapes:

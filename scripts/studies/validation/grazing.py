@@ -26,6 +26,7 @@ from hplan.base.arrays import FloatArray
 from hplan.certificate.certificate import certify
 from hplan.errors import HplanError
 from hplan.online.planner import Planner
+from hplan.planar.family_reader import is_planar
 from hplan.planning.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.trajectory.cubics import Interpolation
@@ -50,7 +51,7 @@ def graze(seed: int, number: int, robot: Robot | None = None) -> Tally:
             return tally
         tally.arms[drawn.kind] += 1
         # Links of planar arms are certified as capsules, and meshes as convex pieces, which are larger.
-        is_exact = drawn.robot.planar is None and robot is None and drawn.kind not in NAMED
+        is_exact = not is_planar(drawn.robot) and robot is None and drawn.kind not in NAMED
         ends = draw_ends(drawn, rng, 0.01)
         if ends is not None:
             world = World(*ends)

@@ -20,6 +20,7 @@ from studies.outside import arm_of
 from studies.validation.judge import Arm
 
 from hplan.base.arrays import FloatArray
+from hplan.planar.family_reader import family_of
 from hplan.robot.model import Robot, load_robot
 
 #: Robots of example-robot-data, and the shipped orchard arm.
@@ -64,7 +65,8 @@ def draw_arm(folder: Path, rng: np.random.Generator) -> DrawnArm:
     if share < _PLANAR:
         offsets = bool(rng.random() < 0.5)
         robot = load_robot(write_planar_arm(folder, rng, offsets=offsets))
-        kind = f"{robot.arm.link_count} links{', yaw' if robot.has_yaw else ''}{', offsets' if offsets else ''}"
+        family = family_of(robot)
+        kind = f"{family.arm.link_count} links{', yaw' if family.has_yaw else ''}{', offsets' if offsets else ''}"
     else:
         kind = str(rng.choice(list(CHAINS)))
         robot = load_robot(write_chain(folder, rng, kind))

@@ -6,12 +6,11 @@ Both include the fixed links attached to them: a cabinet, a counterweight, a cam
 the yaw axis is the same at every yaw. A turn by :math:`\Delta\psi` moves any point of another shape by at most
 :math:`|\Delta\psi| \, r`, with :math:`r` the shape's largest distance from the axis. The signed distance of two convex
 bodies is the maximum separation of their supporting planes over all directions, so it changes by no more than that,
-also in contact. `always` and `ever` use this Lipschitz bound.
+also in contact. `hplan.geometry.lipschitz` decides with this bound.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, Final, Literal
@@ -21,16 +20,13 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, frozen
-from hplan.geometry.coal_hull import convex_hull_shape
-from hplan.robot.family_reader import outline
+from hplan.geometry.shape_outline import coal_distance, outline, solid_geometry
+from hplan.planar.family_reader import family_of, is_planar
 from hplan.robot.model import Robot, made_once
 
 #: Carriers of base shapes that a link can touch: bodies that turn with the arm plane, and fixed bodies.
 TURRET: Final = -1
 GROUND_CARRIER: Final = -2
-
-#: Permitted penetration between a body and the body that carries it [m].
-BASE_DEPTH: Final = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +43,7 @@ class BaseShape:
         rounding: Radius about the core [m].
         is_round: True if the shape is invariant under turns about the yaw axis.
         axis: (3,) foot of the yaw axis in `base_link` [m].
-        links: Links that can touch the shape, set by `hplan.robot.self_contact`.
+        links: Links that can touch the shape, set by `hplan.planar.self_contact`.
     """
 
     number: int
@@ -113,7 +109,9 @@ def base_shapes(robot: Robot) -> tuple[BaseShape, ...]:
     Without a yaw the turret is fixed.
     """
     objects = enumerate(robot.collision_model.geometryObjects)
-    return tuple(_base_shape(robot, number) for number, shape in objects if shape.parentJoint <= robot.yaw_joints)
+    return tuple(
+        _base_shape(robot, number) for number, shape in objects if shape.parentJoint <= family_of(robot).yaw_joints
+    )
 
 
 def turning_shapes(robot: Robot) -> tuple[BaseShape, ...]:
@@ -121,86 +119,17 @@ def turning_shapes(robot: Robot) -> tuple[BaseShape, ...]:
 
     These change with the yaw.
     """
-    shapes = base_shapes(robot) if base_joints(robot) else ()
+    shapes = base_shapes(robot) if is_planar(robot) else ()
     return tuple(shape for shape in shapes if shape.carrier == TURRET and not shape.is_round)
-
-
-def base_joints(robot: Robot) -> int:
-    """Number of joints that carry a turret.
-
-    It is 1 for a planar arm with a yaw, else 0.
-    """
-    return 0 if robot.planar is None else robot.planar.yaw_joints
-
-
-@made_once
-def base_radius(robot: Robot) -> float:
-    """Radius of a ball that contains the base at every yaw [m].
-
-    The ball's centre is the origin of `base_link`.
-    """
-    radius, joints = 0.0, base_joints(robot)
-    axis = np.append(robot.yaw_axis, 0.0) if joints else np.zeros(3)
-    for shape in robot.collision_model.geometryObjects:
-        if shape.parentJoint <= joints:
-            shape.geometry.computeLocalAABB()
-            # Joint 0 turns about a vertical axis, which preserves distances from the points on that axis.
-            about = axis if shape.parentJoint else np.zeros(3)
-            centre = robot.model.jointPlacements[shape.parentJoint] * shape.placement * shape.geometry.aabb_center
-            far = float(np.linalg.norm(centre - about)) + shape.geometry.aabb_radius
-            radius = max(radius, float(np.linalg.norm(about)) + far)
-    return radius
-
-
-def solid_geometry(shape: pin.GeometryObject) -> coal.CollisionGeometry:
-    """Geometry of a shape; the convex hull for a mesh."""
-    geometry = shape.geometry
-    if isinstance(geometry, coal.BVHModelBase):
-        return convex_hull_shape(np.asarray(geometry.vertices(), dtype=np.float64))
-    return geometry
-
-
-def may_reach(distance: Callable[[float], float], low: float, high: float, rate: float, level: float) -> bool:
-    """True if a distance nearly reaches a level in an interval.
-
-    False is certain.
-
-    Args:
-        distance: Distance as a function of the parameter [m].
-        rate: Its Lipschitz constant: |d(a) - d(b)| <= rate |a - b|.
-        level: The level [m].
-    """
-    left = [(low, high)]
-    # Resolution of the decision about distances over a yaw interval [m].
-    resolution = 1e-4
-    while left:
-        low, high = left.pop()
-        middle, half = 0.5 * (low + high), 0.5 * (high - low)
-        found = distance(middle)
-        if found <= level:
-            return True
-        # Within the half-width the distance decreases by at most rate * half.
-        if found - rate * half > level:
-            continue
-        if rate * half <= resolution:
-            return True
-        left += [(low, middle), (middle, high)]
-    return False
-
-
-def is_always_within(distance: Callable[[float], float], low: float, high: float, rate: float, level: float) -> bool:
-    """True if a distance is at most a level over an interval.
-
-    True is certain. See `ever`.
-    """
-    return not may_reach(lambda place: -distance(place), low, high, rate, -level)
 
 
 def _base_shape(robot: Robot, number: int) -> BaseShape:
     shape = robot.collision_model.geometryObjects[number]
     placement = robot.model.jointPlacements[shape.parentJoint] * shape.placement
-    axis = np.append(robot.yaw_axis, 0.0)
-    is_round = robot.has_yaw and _is_round(shape.geometry, pin.SE3(placement.rotation, placement.translation - axis))
+    axis = np.append(family_of(robot).yaw_axis, 0.0)
+    is_round = family_of(robot).has_yaw and _is_round(
+        shape.geometry, pin.SE3(placement.rotation, placement.translation - axis)
+    )
     points, rounding = outline(shape, rim_from_outside=not is_round)
     return BaseShape(
         number=number,
@@ -229,17 +158,3 @@ def _is_round(geometry: coal.CollisionGeometry, placement: pin.SE3) -> bool:
     tilt = float(np.hypot(*placement.rotation[:2, 2]))
     # A shape is round about the yaw axis if its own axis is everywhere within this distance of it [m].
     return float(np.hypot(*placement.translation[:2])) + tilt * half_length <= 1e-6
-
-
-def coal_distance(a: coal.CollisionGeometry, at: pin.SE3, b: coal.CollisionGeometry, other: pin.SE3) -> float:
-    """Signed distance between two placed shapes [m]."""
-    return float(
-        coal.distance(
-            a,
-            coal.Transform3s(at.rotation, at.translation),
-            b,
-            coal.Transform3s(other.rotation, other.translation),
-            coal.DistanceRequest(),
-            coal.DistanceResult(),
-        )
-    )

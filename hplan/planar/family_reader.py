@@ -7,19 +7,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
+from dataclasses import replace
 
-import coal
 import numpy as np
 import pinocchio as pin
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, readonly
-from hplan.errors import RobotFamilyError, RobotFileError
-from hplan.geometry.hull import CUBE_CORNERS
-from hplan.robot.dynamics import SLIDING_JOINTS, TURNING_JOINTS
-from hplan.robot.planar_family import PlanarArm, PlanarFamily
-from hplan.robot.urdf_check import frame_number
+from hplan.errors import RobotFamilyError
+from hplan.geometry.shape_outline import outline
+from hplan.planar.planar_family import PlanarArm, PlanarFamily
+from hplan.robot.dynamics import TURNING_JOINTS
+from hplan.robot.model import Robot
+from hplan.robot.urdf_check import frame_number, hold_advice
+
+#: Key of the family in a robot's cache.
+FAMILY = "planar family"
 
 #: Lengths below this count as zero, and offsets below this as on the plane [m].
 _GEOMETRY_TOLERANCE = 1e-6
@@ -29,6 +32,53 @@ _AXIS_TOLERANCE = 1e-9
 
 #: Fraction of an interval that golden-section search keeps.
 _GOLDEN_FRACTION = 0.5 * (math.sqrt(5.0) - 1.0)
+
+
+def find_family(robot: Robot) -> PlanarFamily | RobotFamilyError:
+    """Return the planar chain of a robot, or the error that names what excludes it; cached on the robot."""
+
+    def read() -> PlanarFamily | RobotFamilyError:
+        try:
+            return read_family(robot.model, robot.collision_model, robot.tool_frame)
+        except RobotFamilyError as error:
+            return error
+
+    return robot.cache(FAMILY, read)
+
+
+def is_planar(robot: Robot) -> bool:
+    """True if a robot belongs to the planar family."""
+    return isinstance(find_family(robot), PlanarFamily)
+
+
+def family_of(robot: Robot) -> PlanarFamily:
+    """Return the planar chain of a robot; cached on the robot.
+
+    Raises:
+        RobotFamilyError: The robot does not belong to the family; the message names the element and the reason.
+
+    Examples:
+        >>> from hplan import load_robot
+        >>> from hplan.planar.family_reader import family_of
+        >>> family = family_of(load_robot())
+        >>> family.has_yaw, family.arm.link_count
+        (True, 3)
+    """
+    found = find_family(robot)
+    if isinstance(found, RobotFamilyError):
+        raise RobotFamilyError(robot.name, found.element, found.reason)
+    return found
+
+
+def with_planar_arm(robot: Robot, arm: PlanarArm) -> Robot:
+    """Return a copy of a robot with another planar chain.
+
+    Raises:
+        RobotFamilyError: The robot does not belong to the family.
+    """
+    other, family = replace(robot), replace(family_of(robot), arm=arm)
+    other.cache(FAMILY, lambda: family)
+    return other
 
 
 def read_family(model: pin.Model, collision_model: pin.GeometryModel, tool_frame: str) -> PlanarFamily:
@@ -78,32 +128,6 @@ def read_family(model: pin.Model, collision_model: pin.GeometryModel, tool_frame
     )
     yaw_axis = data.oMi[1].translation[:2] if first else np.zeros(2)
     return PlanarFamily(bool(first), readonly(yaw_axis), arm, readonly(points[0]), readonly(plane[:2]))
-
-
-def check_joints(path: Path, model: pin.Model) -> None:
-    """Reject unsupported joints, planar or not, and a missing tool frame.
-
-    Raises:
-        RobotFileError: A joint is unsupported or the tool frame is missing; the message names the element and the
-            reason.
-    """
-    if model.njoints < 2:
-        raise RobotFileError(path, "it has no moving joint")
-    for index in range(1, model.njoints):
-        name, kind = model.names[index], model.joints[index].shortname()
-        if kind not in TURNING_JOINTS + SLIDING_JOINTS:
-            advice = hold_advice(name) if model.joints[index].nq == 1 else "make it a fixed joint"
-            reason = f"it is a {kind}; only revolute and prismatic joints move; {advice}"
-            raise RobotFileError(path, f"joint {name!r}: {reason}")
-        axis = model.joints[index].createData()
-        model.joints[index].calc(axis, np.zeros(1))
-        if not abs(np.linalg.norm(axis.S) - 1.0) <= 1e-9:
-            raise RobotFileError(path, f"joint {name!r}: its axis has no direction")
-        low, high = model.lowerPositionLimit[index - 1], model.upperPositionLimit[index - 1]
-        if not low < high:
-            unit = "rad" if kind in TURNING_JOINTS else "m"
-            reason = f"its lower limit {low:g} {unit} is not below its upper limit {high:g} {unit}"
-            raise RobotFileError(path, f"joint {name!r}: {reason}")
 
 
 def _check_chain(model: pin.Model) -> None:
@@ -200,11 +224,6 @@ def _angle_between(axis: FloatArray, other: FloatArray) -> float:
     return math.atan2(float(np.linalg.norm(np.cross(axis, other))), abs(float(axis @ other)))
 
 
-def hold_advice(joint: str) -> str:
-    """End of a message: the argument that holds a joint."""
-    return f"hold={{{joint!r}: 0.0}} (--hold {joint}=0) locks it"
-
-
 def _advise_on_axis(angle: float) -> str:
     """Advice about an axis that is off by a small angle."""
     if angle > 0.01:
@@ -268,36 +287,3 @@ def _thinnest(outlines: Sequence[tuple[FloatArray, FloatArray, float]]) -> float
             low = left
     found = round(0.5 * (low + high), 6)
     return found if radius(found) < radius(0.0) - _GEOMETRY_TOLERANCE else 0.0
-
-
-def outline(shape: pin.GeometryObject, *, rim_from_outside: bool) -> tuple[FloatArray, float]:
-    """Points and a rounding radius whose hull contains a shape.
-
-    The hull is exact except at the rim of a cylinder, which becomes a 64-gon: inscribed if the cylinder lies about the
-    link's axis (every rim point is then equally far from it), else circumscribed (0.12 % larger).
-
-    Raises:
-        TypeError: The shape is neither a URDF shape nor a convex shape of coal.
-    """
-    geometry = shape.geometry
-    kind = type(geometry).__name__
-    if isinstance(geometry, coal.BVHModelBase):
-        return np.asarray(geometry.vertices(), dtype=np.float64), 0.0
-    if not isinstance(geometry, coal.ShapeBase):
-        raise TypeError(f"shape {kind} is not supported")
-    rounding = float(geometry.getSweptSphereRadius())
-    if isinstance(geometry, coal.ConvexBase):
-        return np.array(geometry.points(), dtype=np.float64).reshape(-1, 3), rounding
-    if kind == "Sphere":
-        return np.zeros((1, 3)), rounding + float(geometry.radius)
-    if kind == "Capsule":
-        return np.array([[0, 0, -1.0], [0, 0, 1.0]]) * geometry.halfLength, rounding + float(geometry.radius)
-    if kind == "Cylinder":
-        angles = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
-        radius = geometry.radius / np.cos(np.pi / 64) if rim_from_outside else geometry.radius
-        rim = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        ends = [np.c_[rim, np.full(64, h)] for h in (-geometry.halfLength, geometry.halfLength)]
-        return np.vstack(ends), rounding
-    if kind == "Box":
-        return CUBE_CORNERS * np.asarray(geometry.halfSide), rounding
-    raise TypeError(f"shape {kind} is not supported")

@@ -8,15 +8,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.base.arguments import is_number, number
-from hplan.base.arrays import FloatArray, Record, numbers
-
-_T = TypeVar("_T")
+from hplan.base.arrays import FloatArray, Record
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,57 +163,3 @@ class PlanarFamily(Record):
         """Maximum distance of the tool from the yaw axis [m]."""
         ahead, across = self.shoulder_from_axis
         return math.hypot(abs(ahead) + float(self.arm.lengths.sum()), across)
-
-
-class _OfFamily(Generic[_T]):
-    """Descriptor that forwards to an attribute of the robot's `family`."""
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self._name = name
-
-    def __get__(self, robot: PlanarNames | None, owner: type) -> _T:
-        return self if robot is None else getattr(robot.family, self._name)  # type: ignore[return-value]
-
-
-class PlanarNames:
-    """Mixin that exposes the attributes of `PlanarFamily` on the robot.
-
-    Access raises `RobotFamilyError` if the robot does not belong to the family.
-    """
-
-    @property
-    def family(self) -> PlanarFamily:
-        """Planar-family part of the robot.
-
-        Raises:
-            RobotFamilyError: The robot does not belong to the family; the message names the element and the reason.
-        """
-        raise NotImplementedError
-
-    has_yaw = _OfFamily[bool]()
-    yaw_axis = _OfFamily[FloatArray]()
-    arm = _OfFamily[PlanarArm]()
-    plane_origin = _OfFamily[FloatArray]()
-    plane_axes = _OfFamily[FloatArray]()
-    yaw_joints = _OfFamily[int]()
-    arm_slice = _OfFamily[slice]()
-    shoulder_from_axis = _OfFamily[tuple[float, float]]()
-    yaw_radius = _OfFamily[FloatArray]()
-    tool_radius = _OfFamily[float]()
-
-    def plane_at(self, yaw: float) -> tuple[FloatArray, FloatArray]:
-        """The arm plane turned by `yaw` (`PlanarFamily.plane_at`).
-
-        Raises:
-            OptionError: `yaw` is not a number.
-        """
-        return self.family.plane_at(number("yaw", yaw, "a finite number of radians"))
-
-    def sway(self, deviation: ArrayLike) -> FloatArray:
-        """Tracking displacement bounds of the links (`PlanarFamily.sway`).
-
-        Raises:
-            InputError: `deviation` is neither a finite number nor a finite number for each joint.
-        """
-        dof = self.family.arm.link_count + self.family.yaw_joints
-        return self.family.sway(numbers("deviation", deviation, () if is_number(deviation) else (..., dof)))

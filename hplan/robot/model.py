@@ -75,6 +75,7 @@ class Robot(Record):
         urdf_text: URDF that the models were built from, if it differs from the file's content.
         may_touch: Pairs of links that may touch, with the reason: SRDF, Drake filter groups, or neighbouring links.
         owners: Arm of each link by link name, for several arms joined to one robot; empty for a single robot.
+        assumptions: Values that no file gives, and what was assumed instead.
         unturned: The robot as it was loaded, if the ranges of continuous joints are about a configuration (`about`).
         shape_faults: Drawn links whose collision shapes are missing or do not fit (`hplan.robot.drawn_links`).
     """
@@ -98,6 +99,7 @@ class Robot(Record):
     may_touch: tuple[tuple[str, str, str], ...] = ()
     owners: Mapping[str, str] = field(default_factory=dict)
     shape_faults: tuple[ShapeFault, ...] = ()
+    assumptions: tuple[str, ...] = ()
     unturned: Robot | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
@@ -416,6 +418,7 @@ def load_robot(
     allow_neighbours: bool = False,
     collision_from_visual: bool | Sequence[str] = False,
     xacro_args: Mapping[str, str] | None = None,
+    acceleration_scale: float | None = None,
 ) -> Robot:
     """Load a robot from URDF or xacro.
 
@@ -437,6 +440,8 @@ def load_robot(
             at the value given by the joint that they mimic.
         package_dirs: Folders searched for packages and meshes before those around the URDF.
         xacro_args: Values of the arguments of a xacro file, by name: `{"ur_type": "ur5e"}`.
+        acceleration_scale: Ratio of acceleration to velocity limits [1/s], if nothing gives acceleration limits; None
+            for 2: full speed in half a second. `Robot.assumptions` and reports say so.
         srdf: SRDF with the pairs of links that may touch. Pairs that it disables because they never touch are checked
             nevertheless.
         allow_neighbours: True if links with one joint between them may touch, as in most SRDFs; False allows only those
@@ -445,7 +450,7 @@ def load_robot(
             visuals; or names of the links whose collision shapes are replaced in this way.
 
     Warns:
-        RobotFileWarning: The file has faults that no motion depends on, or a tilted base.
+        RobotFileWarning: The file has faults that no motion depends on, a tilted base, or no acceleration limits.
         UncoveredLinkWarning: A link has a visual, but no collision shape or one of another size.
         MissingVisualWarning: The mesh file of a visual is missing; the link is not drawn.
 
@@ -469,9 +474,11 @@ def load_robot(
         allow_neighbours=allow_neighbours,
         collision_from_visual=collision_from_visual,
         xacro_args=xacro_args,
+        acceleration_scale=acceleration_scale,
     )
-    if adapted.mended:
-        message = f"robot file {robot.urdf_path}: " + "\n  ".join(adapted.mended)
+    notes = (*adapted.mended, *robot.assumptions)
+    if notes:
+        message = f"robot file {robot.urdf_path}: " + "\n  ".join(notes)
         warnings.warn(message, RobotFileWarning, stacklevel=2)
     if adapted.missing_visuals:
         listed = ", ".join(f"{file} of link {link!r}" for link, file in adapted.missing_visuals)
@@ -504,6 +511,7 @@ def _read_robot(
     allow_neighbours: bool = False,
     collision_from_visual: bool | Sequence[str] = False,
     xacro_args: Mapping[str, str] | None = None,
+    acceleration_scale: float | None = None,
 ) -> tuple[Robot, AdaptedUrdf]:
     """Return the robot of `load_robot`, and its URDF."""
     files = robot_files(path)
@@ -548,7 +556,12 @@ def _read_robot(
     may_touch += filtered_links(urdf_path, root, adapted.urdf.links)
     if truth("allow_neighbours", allow_neighbours):
         may_touch += neighbouring_links(model)
-    acceleration, jerk = find_limits(urdf_path, adapted.urdf, joint_names, given, adapted.held)
+    scale = (
+        None
+        if acceleration_scale is None
+        else number("acceleration_scale", acceleration_scale, "a positive number [1/s]", lambda value: value > 0.0)
+    )
+    acceleration, jerk, assumed = find_limits(urdf_path, adapted.urdf, joint_names, given, adapted.held, scale)
     lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
     robot = Robot(
         name=model.name,
@@ -569,6 +582,7 @@ def _read_robot(
         urdf_text=adapted.text,
         may_touch=may_touch,
         shape_faults=faults,
+        assumptions=() if assumed is None else (assumed,),
     )
     return robot, adapted
 

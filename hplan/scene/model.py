@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Annotated, Any, ClassVar, Final, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, Self
 from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from hplan.base.arguments import instance, list_of, number
 from hplan.base.arrays import FloatArray, numbers
@@ -25,6 +25,7 @@ from hplan.errors import MovingObstacleError, SceneError
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.hull import Hull
 from hplan.geometry.rotation import quaternion_rotation, rpy_rotation
+from hplan.scene.imports import Import, flatten_imports
 from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Size, Vector
 from hplan.scene.obstacle_kind import (
     CovarianceField,
@@ -44,6 +45,12 @@ FORMAT: Final = "hplan-scene/1"
 
 #: Tolerance of a quaternion's norm about 1; quaternions are normalized.
 QUATERNION_LENGTH: Final = 1e-3
+
+
+if TYPE_CHECKING:
+    _Listed = Obstacle
+else:  # an import gives way to its obstacles
+    _Listed = Annotated[AnyObstacle | Import, Field(discriminator="kind")]
 
 
 def _to_tuple(names: Any) -> Any:
@@ -272,7 +279,7 @@ class Scene(StrictModel):
     goal: Goal
     locked_joints: tuple[str, ...] = ()
     clearance: Annotated[float, Field(ge=0.0, le=FARTHEST_M)] = 0.0
-    obstacles: Annotated[tuple[Obstacle, ...], Field(max_length=MOST_OBSTACLES)] = ()
+    obstacles: Annotated[tuple[_Listed, ...], AfterValidator(flatten_imports), Field(max_length=MOST_OBSTACLES)] = ()
     fruits: Annotated[tuple[Fruit, ...], Field(max_length=MOST_OBSTACLES)] = ()
     base_track: TrackField = None
     covariance: CovarianceField = None

@@ -19,10 +19,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from hplan.base.arguments import check_each, file_path, instance, list_of, number, truth
+from hplan.base.arguments import check_each, file_path, instance, list_of, nearest_name, number, truth
 from hplan.base.arrays import BoolArray, FloatArray, Record, as_array, numbers, readonly
 from hplan.base.files import is_file
-from hplan.base.units import FARTHEST_JOINT, JointUnit, joint_unit
+from hplan.base.units import FARTHEST_JOINT, NAME_UNITS, JointUnit, joint_unit
 from hplan.errors import (
     InputError,
     JointLimitError,
@@ -312,9 +312,9 @@ class Robot(Record):
     def joints_of(self, values: Start, which: str) -> FloatArray: ...
 
     @overload
-    def joints_of(self, values: JointValues, which: str) -> FloatArray | None: ...
+    def joints_of(self, values: JointValues, which: str, start: Start | None = None) -> FloatArray | None: ...
 
-    def joints_of(self, values: JointValues, which: str) -> FloatArray | None:
+    def joints_of(self, values: JointValues, which: str, start: Start | None = None) -> FloatArray | None:
         """Joint values of a start or goal, unchecked [rad, m].
 
         None for non-joint goals.
@@ -322,10 +322,14 @@ class Robot(Record):
         Args:
             values: A scene's start or goal.
             which: Name of the value for the error.
+            start: Start whose values the joints keep that are not named; None if all have to be named.
 
         Raises:
-            InputError: A prismatic joint is given in degrees.
+            InputError: A prismatic joint is given in degrees; a name is of no joint, has another kind of unit, occurs
+                twice or is missing.
         """
+        if values.joints is not None:
+            return self._named_joints(values.joints, which, start)
         if values.joints_deg is not None and any(self.slides):
             name = self.joint_names[self.slides.index(True)]
             raise InputError(
@@ -333,7 +337,33 @@ class Robot(Record):
                 which=which,
                 joint=name,
             )
-        return values.joints()
+        return values.listed_joints()
+
+    def _named_joints(self, given: Mapping[str, float], which: str, start: Start | None) -> FloatArray:
+        """Joint values by names with units."""
+        found: dict[str, float] = {}
+        for key, value in given.items():
+            name, _, suffix = key.rpartition("_")
+            if key in self.joint_names:
+                name, factor = key, 1.0
+            elif suffix in NAME_UNITS and name in self.joint_names:
+                is_length, factor = NAME_UNITS[suffix]
+                if is_length != self.slides[self.joint_names.index(name)]:
+                    expected = f"{name}_m or {name}_mm" if not is_length else f"{name}_deg or {name}_rad"
+                    raise InputError(f"{which}: joints: {key!r} has the wrong unit; expected {expected}", joint=name)
+            else:
+                plain = name if suffix in NAME_UNITS else key
+                raise InputError(f"{which}: joints: {key!r}: {nearest_name(plain, self.joint_names)}", joint=key)
+            if name in found:
+                raise InputError(f"{which}: joints: joint {name!r} is given twice", joint=name)
+            found[name] = factor * value
+        missing = [name for name in self.joint_names if name not in found]
+        if not missing:
+            return np.array([found[name] for name in self.joint_names])
+        if start is None:
+            raise InputError(f"{which}: joints: no value for {', '.join(missing)}", joint=missing[0])
+        kept = self.joints_of(start, "start")
+        return np.array([found.get(name, value) for name, value in zip(self.joint_names, kept, strict=True)])
 
     def check_configuration(self, q: ArrayLike, which: str) -> FloatArray:
         """Return `q` as a read-only (dof,) array.

@@ -210,7 +210,7 @@ def test_drop_off_after_two(robot: Robot, scene: Scene, carried: TourResult) -> 
     to_fruit = ["transit", "approach", "retreat"]
     assert words == [to_fruit, [*to_fruit, "drop"], to_fruit, [*to_fruit, "drop"], ["return"]]
     assert carried.legs[-1].fruit is None
-    motion, drop = carried.trajectory, DROP.joints()
+    motion, drop = carried.trajectory, DROP.listed_joints()
     first, second = (carried.legs[i].trajectory.position[-1] for i in (1, 3))
     np.testing.assert_allclose([first, second], [drop, drop], rtol=0, atol=1e-9)
     np.testing.assert_allclose(motion.position[-1], scene.start.configuration, rtol=0, atol=1e-9)

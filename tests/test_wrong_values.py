@@ -436,6 +436,7 @@ CASES: dict[str, Case] = {
     "write_page": case(write_page, "path:path", playback=Playback(a_trajectory()), path="a.html"),
     "corner_grid": case(corner_grid, "path:object"),
     "read_planning_scene": case(read_planning_scene, "source:file", source={"world": {}}),
+    "PlanOptions of an unknown name": case(hplan.PlanOptions, bad={"efort": ("quick", None)}),
     "read_octomap": case(
         read_octomap,
         "source:file name:name position:vector rpy_deg:vector depth:positive",

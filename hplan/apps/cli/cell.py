@@ -53,6 +53,7 @@ _OF_ONE_ROBOT = (
         "srdf",
         "package_dir",
         "xacro",
+        "acceleration_scale",
         "allow_neighbours",
         "drop_inside",
         "yield_links",

@@ -74,6 +74,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         arguments.robot,
         tool_frame=arguments.tool_frame,
         limits=arguments.limits,
+        acceleration_scale=arguments.acceleration_scale,
         hold=held_joints(arguments),
         srdf=arguments.srdf,
         allow_neighbours=arguments.allow_neighbours,

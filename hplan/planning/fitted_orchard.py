@@ -247,8 +247,8 @@ def find_start(robot: Robot, scene: Scene, reach: float) -> Start:
                     return Start(joints_rad=values)
                 return Start(joints_deg=tuple(round(math.degrees(value)) * 1.0 for value in values))
     raise InputError(
-        f"robot {robot.name!r}: none of {most} starts beside the trees is free; give one (--start), or a larger distance "
-        "(--distance)",
+        f"robot {robot.name!r}: none of {most} starts beside the trees is free; give one (--start), or a larger "
+        "distance (--distance)",
         robot=robot.name,
     )
 

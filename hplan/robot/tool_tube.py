@@ -49,9 +49,8 @@ def add_tool_tube(path: Path, root: ET.Element, adapted: AdaptedUrdf, length_m: 
     along = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), np.array(axis)).toRotationMatrix()
     radius = min(0.02, length_m / 9.0)
     lean, across = length_m**3 / 12.0, 0.5 * length_m * radius**2
-    shape = (
-        f'<origin xyz="0 0 {0.5 * length_m!r}"/><geometry><cylinder radius="{radius!r}" length="{length_m!r}"/></geometry>'
-    )
+    cylinder = f'<cylinder radius="{radius!r}" length="{length_m!r}"/>'
+    shape = f'<origin xyz="0 0 {0.5 * length_m!r}"/><geometry>{cylinder}</geometry>'
     tube = ET.fromstring(
         f'<link name="{TUBE}"><inertial><origin xyz="0 0 {0.5 * length_m!r}"/><mass value="{length_m!r}"/>'
         f'<inertia ixx="{lean!r}" iyy="{lean!r}" izz="{across!r}" ixy="0" ixz="0" iyz="0"/></inertial>'

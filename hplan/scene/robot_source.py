@@ -85,7 +85,9 @@ class RobotSource(StrictModel):
                 return tuple(map(move, path))
             return path if path is None or _is_name(path) else Path(os.path.relpath(path, folder)).as_posix()
 
-        return self.copy_unchecked({key: move(getattr(self, key)) for key in ("urdf", "limits", "srdf", "package_dirs")})
+        return self.copy_unchecked(
+            {key: move(getattr(self, key)) for key in ("urdf", "limits", "srdf", "package_dirs")}
+        )
 
     def to_file(self) -> str | dict[str, Any]:
         """Return the source as scene files write it: the path alone if there are no options."""

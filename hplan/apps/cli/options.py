@@ -298,9 +298,10 @@ def source_of(arguments: argparse.Namespace) -> str | RobotSource | None:
     given = {name: value for name, value in robot_options(arguments).items() if value}
     if not given and (path is None or (path in robot_names() and not is_file(arguments.robot))):
         return path
-    texts = {name: str(given[name]) for name in ("limits", "srdf") if name in given}
-    folders = {"package_dirs": tuple(map(str, given["package_dirs"]))} if "package_dirs" in given else {}
-    return RobotSource(urdf=path or "harvester", **{**given, **texts, **folders})
+    given |= {name: str(given[name]) for name in ("limits", "srdf") if name in given}
+    if "package_dirs" in given:
+        given["package_dirs"] = tuple(map(str, given["package_dirs"]))
+    return RobotSource(urdf=path or "harvester", **given)
 
 
 def tracking_of(arguments: argparse.Namespace) -> TrackingModel:

@@ -122,8 +122,8 @@ def parser(prog: str) -> argparse.ArgumentParser:
         type=float,
         nargs="+",
         metavar="DEG",
-        help="joint positions at the start in degrees (default: the tucked harvester; for an arm of your own, one found "
-        "beside the trees)",
+        help="joint positions at the start in degrees (default: the tucked harvester; for an arm of your own, one "
+        "found beside the trees)",
     )
     add("--quiet", action="store_true", help="print no summary")
     grown = parser.add_argument_group("grown trees").add_argument
@@ -196,8 +196,13 @@ def _fit_scene(
     """Generate trees that fit the workspace of any arm."""
     progress("reading robot")
     from hplan.planning.fitted_orchard import (
-        find_start, grow_fitted, measure_workspace, measured_defaults, with_pickable_goal, zone_of
-    )  # fmt: skip
+        find_start,
+        grow_fitted,
+        measure_workspace,
+        measured_defaults,
+        with_pickable_goal,
+        zone_of,
+    )
     from hplan.scene.orchard import MeasuredOptions, measured_orchard
 
     robot = robot_of(arguments)

@@ -52,7 +52,7 @@ def generate(options: OrchardOptions | None = None, *, start_deg: Sequence[float
     boxes = [box for box, wanted in ((ground, options.ground), (_VEHICLE, options.vehicle)) if wanted]
     if options.height:
         lift = np.array([0.0, 0.0, options.height])
-        wood = [capsule(w.name, *(round_point(end + lift) for end in w.core), w.radius) for w in wood]
+        wood = [capsule(w.name, round_point(w.core[0] + lift), round_point(w.core[1] + lift), w.radius) for w in wood]
         fruits = tuple(fruit.copy_unchecked({"center": round_point(fruit.center + lift)}) for fruit in fruits)
     return _assemble_scene(options, (*wood, *boxes), fruits, start_deg)
 

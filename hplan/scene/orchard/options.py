@@ -54,7 +54,6 @@ class FruitZone(Options):
         """True if a point is in the zone [m]."""
         return self.low <= z <= self.high and math.hypot(x, y) <= self.reach
 
-
     def lift(self, height: float) -> FruitZone:
         """Return the zone, higher by a height [m]."""
         low, high = (min(max(end + height, -FARTHEST), FARTHEST) for end in (self.low, self.high))

@@ -113,6 +113,9 @@ __getattr__ = lazy_names(
 #: Modules at the edge that add path finders, inverse kinematics, proofs and pages for robots that they recognize.
 declare_extension("hplan.planar.extension")
 
+#: Readers of other programs' files for the obstacles of a scene.
+declare_extension("hplan.apps.ros.scene_files", "obstacles")
+
 
 def __dir__() -> list[str]:
     """Public names, loaded or not."""

@@ -16,6 +16,7 @@ import pytest
 from small_tree import TREE
 
 import hplan
+from hplan.apps.ros import cloud_points
 from hplan.apps.ros.mcap_file import _Encoder
 
 MEASURED = Path(__file__).resolve().parents[2] / "shared" / "data" / "measured_trees"
@@ -165,7 +166,7 @@ def test_ros2_node() -> None:
     header = store.types["std_msgs/msg/Header"](store.types["builtin_interfaces/msg/Time"](0, 0), "base_link")
     fields = [field(name=name, offset=offset, datatype=7, count=1) for name, offset in (("z", 12), ("x", 4), ("y", 8))]
     message = cloud(header, 2, 3, fields, False, 20, 64, data.ravel(), False)
-    np.testing.assert_array_equal(node["points_of"](message), points.reshape(-1, 3))
+    np.testing.assert_array_equal(cloud_points(message), points.reshape(-1, 3))
     robot = hplan.load_robot()
     arm, state = node["ArmState"](robot), lambda **at: SimpleNamespace(name=list(at), position=list(at.values()))
     with pytest.raises(hplan.errors.InputError, match="'base_yaw'"):

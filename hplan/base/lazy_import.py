@@ -14,18 +14,18 @@ from contextlib import contextmanager
 from types import ModuleType
 from typing import Any
 
-_MODULES: list[str] = []
+_MODULES: dict[str, list[str]] = {}
 
 
-def declare_extension(module: str) -> None:
-    """Declare a module that registers additions when imported."""
-    if module not in _MODULES:
-        _MODULES.append(module)
+def declare_extension(module: str, subject: str = "robots") -> None:
+    """Declare a module that registers additions of a subject when imported."""
+    if module not in _MODULES.setdefault(subject, []):
+        _MODULES[subject].append(module)
 
 
-def load_extensions() -> None:
-    """Import all declared modules; already loaded modules cost nothing."""
-    for module in _MODULES:
+def load_extensions(subject: str = "robots") -> None:
+    """Import all modules declared for a subject; already loaded modules cost nothing."""
+    for module in _MODULES.get(subject, ()):
         importlib.import_module(module)
 
 

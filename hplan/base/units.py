@@ -10,6 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+#: Units at the end of a joint's name: True for a length, and radians or metres per unit.
+NAME_UNITS: Final = {"deg": (False, math.radians(1.0)), "rad": (False, 1.0), "m": (True, 1.0), "mm": (True, 1e-3)}
+
 #: Maximum magnitude of a joint value [rad, m].
 FARTHEST_JOINT: Final = 1e6
 

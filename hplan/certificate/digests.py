@@ -87,6 +87,9 @@ def scene_digest(scene: Scene) -> str:
             found.add_text(fruit.name, "hangs_from", *fruit.hangs_from)
     if scene.yield_links is not None:
         found.add_text("yield_links", *scene.yield_links)
+    for key, named in (("start", scene.start.joints), ("goal", scene.goal.joints)):
+        if named is not None:
+            found.add_text(key, *(f"{name}={value!r}" for name, value in sorted(named.items())))
     if scene.goal.quaternion_xyzw is not None:
         found.add_text("goal", scene.goal.frame or "")
         found.add_exactly(np.array(scene.goal.quaternion_xyzw))

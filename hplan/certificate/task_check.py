@@ -45,7 +45,7 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray, times: Float
         moved = np.abs(bezier[..., joint] - start[joint]).max()
         if not moved <= TASK_TOLERANCE:
             yield f"joint {robot.joint_names[joint]!r} is locked, but moves by {moved:.4g} rad"
-    goal = robot.joints_of(scene.goal, "goal")
+    goal = robot.joints_of(scene.goal, "goal", scene.start)
     if goal is not None:
         asked = robot.check_configuration(robot.turned_near(goal, rows[-1]), "goal")
         yield from _describe_joint_difference(robot, "ends", rows[-1], asked, "goal")

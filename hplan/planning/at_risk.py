@@ -173,7 +173,7 @@ def _room_at_ends(problem: Problem) -> dict[str, float]:
     names = checker.obstacle_names[: checker.own_first]
     room: dict[str, float] = {}
     for end in (scene.start, scene.goal):
-        joints = robot.joints_of(end, "start" if end is scene.start else "goal")
+        joints = robot.joints_of(end, "start" if end is scene.start else "goal", scene.start)
         if joints is not None:
             distances = checker.distances(joints).min(axis=0).tolist()
             for name, distance in zip(names, distances, strict=False):

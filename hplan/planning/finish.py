@@ -294,7 +294,7 @@ def scene_along(robot: Robot, scene: Scene, path: GivenPath) -> Scene:
                 joint=name,
                 waypoint=number,
             )
-    own = robot.joints_of(scene.start, "start"), robot.joints_of(scene.goal, "goal")
+    own = robot.joints_of(scene.start, "start"), robot.joints_of(scene.goal, "goal", scene.start)
     ends = zip(own, path.points[[0, -1]], strict=True)
     if all(own is not None and own.shape == end.shape and np.abs(own - end).max() <= SAME for own, end in ends):
         return scene

@@ -89,7 +89,7 @@ def _may_be_found(problem: Problem, effort: Effort, error: HplanError) -> bool:
     # The proof covers the goals that were tried: all of them only if the goal is given as joints.
     goal = problem.scene.goal
     tries_all = not effort.at_once and goal.pose is None
-    return not tries_all and problem.robot.joints_of(goal, "goal") is None
+    return not tries_all and not goal.has_joints
 
 
 def plans_from_rest(problem: Problem) -> Iterator[Plan]:
@@ -113,7 +113,7 @@ def _goal(problem: Problem) -> Problem | Target:
     """The problem with its goal configurations; or the target to approach."""
     scene, world, start = problem.scene, problem.world, problem.start
     goal = scene.goal
-    joints = problem.robot.joints_of(goal, "goal")
+    joints = problem.robot.joints_of(goal, "goal", scene.start)
     if joints is not None:
         return problem.from_configurations(start, problem.robot.turned_near(joints, start))
     if goal.pose is not None and not problem.options.standoff:

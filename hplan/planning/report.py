@@ -118,6 +118,11 @@ def pushes_report(certificate: Certificate, scene: Scene) -> dict[str, Any]:
     return {**links, "pushes": None if found is None else [vars(push) for push in found]}
 
 
+def assumptions_report(robot: Robot) -> dict[str, list[str]]:
+    """The limits that no file gives and that were assumed; empty if all are given."""
+    return {"assumptions": list(robot.assumptions)} if robot.assumptions else {}
+
+
 def far_report(robot: Robot, scene: Scene) -> dict[str, list[str]]:
     """The obstacles implausibly far from the arm; empty without any."""
     names = far_obstacles(robot, scene)

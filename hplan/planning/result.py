@@ -18,7 +18,7 @@ from hplan.geometry.polyline import path_length
 from hplan.planning.grasps import Grasp
 from hplan.planning.motion import Transit
 from hplan.planning.problem import Problem
-from hplan.planning.report import far_report, motion_report
+from hplan.planning.report import assumptions_report, far_report, motion_report
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.trajectory.spline import SplinePath
@@ -210,6 +210,7 @@ def plan_report(plan: PlanResult) -> dict[str, Any]:
         },
         **({"bound": _bound_report(plan.bound, bounded)} if options.bound else {}),
         **plan.told,
+        **assumptions_report(motion.problem.robot),
         **far_report(motion.problem.robot, scene),
         **motion_report(plan.trajectory, plan.certificate, options, scene),
     }

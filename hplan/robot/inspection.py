@@ -21,15 +21,12 @@ from hplan.base.arrays import FloatArray
 from hplan.errors import HplanWarning, RobotFileError, RobotFileWarning
 from hplan.robot.faults import Faults
 from hplan.robot.files import robot_files
-from hplan.robot.limits_file import LIMIT_KEYS, LIMITS_FORMAT
+from hplan.robot.limits_file import ACCELERATION_SCALE, LIMIT_KEYS, LIMITS_FORMAT
 from hplan.robot.mesh_files import MeshFinder
 from hplan.robot.model import Robot, load_robot
 from hplan.robot.urdf_adaptation import joints_up_to, tool_frames
 from hplan.robot.urdf_file import Joint, Urdf, check_inertias, read_urdf
 from hplan.robot.urdf_xml import read_urdf_xml
-
-#: Time in which a joint is assumed to reach its full speed, where nothing gives its acceleration [s].
-_TO_FULL_SPEED_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -210,8 +207,8 @@ def limits_template(name: str, urdf: Urdf, joints: Sequence[Joint]) -> str:
         if not effort > 0.0:
             put(joint, "effort", _effort_guess(urdf, joint), "twice what its load weighs; the URDF has no effort")
         acceleration = joint.limits.get("acceleration", 0.0)
-        guessed = "" if acceleration > 0.0 else f"full speed in {_TO_FULL_SPEED_S:g} s"
-        put(joint, "acceleration", acceleration or velocity / _TO_FULL_SPEED_S, guessed)
+        guessed = "" if acceleration > 0.0 else f"full speed in {1.0 / ACCELERATION_SCALE:g} s"
+        put(joint, "acceleration", acceleration or ACCELERATION_SCALE * velocity, guessed)
         if joint.limits.get("jerk", 0.0) > 0.0:
             put(joint, "jerk", joint.limits["jerk"], "")
     head = f"# Limits of {name}: replace each guess by the number of the data sheet.\nformat: {LIMITS_FORMAT}\n"

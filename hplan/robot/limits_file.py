@@ -21,7 +21,7 @@ from hplan.base.arrays import FloatArray
 from hplan.base.checked import Positive, StrictModel
 from hplan.base.data_files import LIMITS_SUFFIX, robot_names, shipped_limits
 from hplan.base.files import ByteBudget, is_file
-from hplan.errors import RobotFileError, SceneError
+from hplan.errors import OptionError, RobotFileError, SceneError
 from hplan.robot.urdf_file import Urdf
 from hplan.robot.urdf_xml import URDF_TEXT, line_of
 from hplan.scene.file import parse_model, read_model
@@ -29,6 +29,9 @@ from hplan.scene.limits import MOST_SCENE_BYTES
 
 #: Value of the key `format` in a limits file.
 LIMITS_FORMAT = "hplan-limits/1"
+
+#: Ratio of accelerations to velocity limits if nothing gives acceleration limits: full speed in half a second [1/s].
+ACCELERATION_SCALE: Final = 2.0
 
 #: Keys of a limits file by quantity: of joints that turn, and of joints that slide.
 LIMIT_KEYS: Final = {
@@ -173,9 +176,14 @@ def default_limits(urdf_path: Path) -> Path:
 
 
 def find_limits(
-    urdf_path: Path, urdf: Urdf, joint_names: tuple[str, ...], given: Path | None, held: Iterable[str]
-) -> tuple[FloatArray, FloatArray | None]:
-    """Find acceleration and jerk limits in a limits file or URDF 1.2.
+    urdf_path: Path,
+    urdf: Urdf,
+    joint_names: tuple[str, ...],
+    given: Path | None,
+    held: Iterable[str],
+    scale: float | None = None,
+) -> tuple[FloatArray, FloatArray | None, str | None]:
+    """Find acceleration and jerk limits in a limits file or URDF 1.2, or assume them.
 
     Args:
         urdf_path: The URDF; the default limits file is `NAME.limits.yaml` in its folder, also for `NAME.urdf.xacro`.
@@ -183,22 +191,31 @@ def find_limits(
         joint_names: Names of the joints, in the order of the result.
         given: The limits file; None for the default one.
         held: Names of further joints that the file may contain.
+        scale: Ratio of assumed accelerations to the velocity limits [1/s]; None for `ACCELERATION_SCALE`.
 
     Returns:
-        (dof,) acceleration [rad/s^2, m/s^2] and jerk limits [rad/s^3, m/s^3]; None for no jerk limits.
+        (dof,) acceleration [rad/s^2, m/s^2] and jerk limits [rad/s^3, m/s^3]; None for no jerk limits. The assumption,
+        if nothing gives accelerations; None if the file or the URDF does.
 
     Raises:
         RobotFileError: The limits file is invalid (`read_limits`); or there is no file and the URDF lacks the
-            acceleration of a joint, or the jerk of some joints only.
+            acceleration or jerk of some joints only.
+        OptionError: `scale` is given although the accelerations are.
     """
     default = default_limits(urdf_path)
     limits = [urdf.joints[name].limits for name in joint_names]
     is_text = urdf_path == URDF_TEXT
-    if given is not None or not any("acceleration" in limit for limit in limits) or (is_file(default) and not is_text):
-        if given is None and (is_text or not is_file(default)):
-            raise RobotFileError(urdf_path, f"it has no acceleration limits: {LIMITS_ADVICE}")
+    from_file = given is not None or (is_file(default) and not is_text)
+    if not from_file and not any("acceleration" in limit for limit in limits):
+        factor = ACCELERATION_SCALE if scale is None else scale
+        assumed = f"it has no acceleration limits; {factor:g} /s times the velocity limits are assumed: {LIMITS_ADVICE}"
+        return factor * np.array([limit["velocity"] for limit in limits]), None, assumed
+    if scale is not None:
+        source = (default if given is None else given) if from_file else "the URDF"
+        raise OptionError("acceleration_scale", scale, f"None: {source} gives the acceleration limits")
+    if from_file:
         slides = [urdf.joints[name].kind == "prismatic" for name in joint_names]
-        return read_limits(default if given is None else given, joint_names, slides, held)
+        return *read_limits(default if given is None else given, joint_names, slides, held), None
 
     def read_list(key: str) -> FloatArray:
         for name, limit in zip(joint_names, limits, strict=True):
@@ -207,7 +224,8 @@ def find_limits(
                 raise RobotFileError(urdf_path, line_of(urdf.joints[name].element) + reason)
         return np.array([limit[key] for limit in limits])
 
-    return read_list("acceleration"), read_list("jerk") if any("jerk" in limit for limit in limits) else None
+    jerk = read_list("jerk") if any("jerk" in limit for limit in limits) else None
+    return read_list("acceleration"), jerk, None
 
 
 #: Advice on how to specify limits.

@@ -19,10 +19,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from hplan.base.arguments import check_between, check_each, file_path, instance, list_of, number, truth
+from hplan.base.arguments import check_between, check_each, file_path, instance, list_of, nearest_name, number, truth
 from hplan.base.arrays import BoolArray, FloatArray, Record, as_array, numbers, readonly
 from hplan.base.files import is_file
-from hplan.base.units import FARTHEST_JOINT, JointUnit, joint_unit
+from hplan.base.units import FARTHEST_JOINT, NAME_UNITS, JointUnit, joint_unit
 from hplan.errors import (
     InputError,
     JointLimitError,
@@ -77,6 +77,7 @@ class Robot(Record):
         urdf_text: URDF that the models were built from, if it differs from the file's content.
         may_touch: Pairs of links that may touch, with the reason: SRDF, Drake filter groups, or neighbouring links.
         owners: Arm of each link by link name, for several arms joined to one robot; empty for a single robot.
+        assumptions: Values that no file gives, and what was assumed instead.
         unturned: The robot as it was loaded, if the ranges of continuous joints are about a configuration (`about`).
         shape_faults: Drawn links whose collision shapes are missing or do not fit (`hplan.robot.drawn_links`).
     """
@@ -100,6 +101,7 @@ class Robot(Record):
     may_touch: tuple[tuple[str, str, str], ...] = ()
     owners: Mapping[str, str] = field(default_factory=dict)
     shape_faults: tuple[ShapeFault, ...] = ()
+    assumptions: tuple[str, ...] = ()
     unturned: Robot | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
@@ -312,9 +314,9 @@ class Robot(Record):
     def joints_of(self, values: Start, which: str) -> FloatArray: ...
 
     @overload
-    def joints_of(self, values: JointValues, which: str) -> FloatArray | None: ...
+    def joints_of(self, values: JointValues, which: str, start: Start | None = None) -> FloatArray | None: ...
 
-    def joints_of(self, values: JointValues, which: str) -> FloatArray | None:
+    def joints_of(self, values: JointValues, which: str, start: Start | None = None) -> FloatArray | None:
         """Joint values of a start or goal, unchecked [rad, m].
 
         None for non-joint goals.
@@ -322,10 +324,14 @@ class Robot(Record):
         Args:
             values: A scene's start or goal.
             which: Name of the value for the error.
+            start: Start whose values the joints keep that are not named; None if all have to be named.
 
         Raises:
-            InputError: A prismatic joint is given in degrees.
+            InputError: A prismatic joint is given in degrees; a name is of no joint, has another kind of unit, occurs
+                twice or is missing.
         """
+        if values.joints is not None:
+            return self._named_joints(values.joints, which, start)
         if values.joints_deg is not None and any(self.slides):
             name = self.joint_names[self.slides.index(True)]
             raise InputError(
@@ -333,7 +339,33 @@ class Robot(Record):
                 which=which,
                 joint=name,
             )
-        return values.joints()
+        return values.listed_joints()
+
+    def _named_joints(self, given: Mapping[str, float], which: str, start: Start | None) -> FloatArray:
+        """Joint values by names with units."""
+        found: dict[str, float] = {}
+        for key, value in given.items():
+            name, _, suffix = key.rpartition("_")
+            if key in self.joint_names:
+                name, factor = key, 1.0
+            elif suffix in NAME_UNITS and name in self.joint_names:
+                is_length, factor = NAME_UNITS[suffix]
+                if is_length != self.slides[self.joint_names.index(name)]:
+                    expected = f"{name}_m or {name}_mm" if not is_length else f"{name}_deg or {name}_rad"
+                    raise InputError(f"{which}: joints: {key!r} has the wrong unit; expected {expected}", joint=name)
+            else:
+                plain = name if suffix in NAME_UNITS else key
+                raise InputError(f"{which}: joints: {key!r}: {nearest_name(plain, self.joint_names)}", joint=key)
+            if name in found:
+                raise InputError(f"{which}: joints: joint {name!r} is given twice", joint=name)
+            found[name] = factor * value
+        missing = [name for name in self.joint_names if name not in found]
+        if not missing:
+            return np.array([found[name] for name in self.joint_names])
+        if start is None:
+            raise InputError(f"{which}: joints: no value for {', '.join(missing)}", joint=missing[0])
+        kept = self.joints_of(start, "start")
+        return np.array([found.get(name, value) for name, value in zip(self.joint_names, kept, strict=True)])
 
     def check_configuration(self, q: ArrayLike, which: str) -> FloatArray:
         """Return `q` as a read-only (dof,) array.
@@ -419,6 +451,7 @@ def load_robot(
     allow_neighbours: bool = False,
     collision_from_visual: bool | Sequence[str] = False,
     xacro_args: Mapping[str, str] | None = None,
+    acceleration_scale: float | None = None,
 ) -> Robot:
     """Load a robot from URDF or xacro.
 
@@ -443,6 +476,8 @@ def load_robot(
             at the value given by the joint that they mimic.
         package_dirs: Folders searched for packages and meshes before those around the URDF.
         xacro_args: Values of the arguments of a xacro file, by name: `{"ur_type": "ur5e"}`.
+        acceleration_scale: Ratio of acceleration to velocity limits [1/s], if nothing gives acceleration limits; None
+            for 2: full speed in half a second. `Robot.assumptions` and reports say so.
         srdf: SRDF with the pairs of links that may touch. Pairs that it disables because they never touch are checked
             nevertheless.
         allow_neighbours: True if links with one joint between them may touch, as in most SRDFs; False allows only those
@@ -451,7 +486,7 @@ def load_robot(
             visuals; or names of the links whose collision shapes are replaced in this way.
 
     Warns:
-        RobotFileWarning: The file has faults that no motion depends on, or a tilted base.
+        RobotFileWarning: The file has faults that no motion depends on, a tilted base, or no acceleration limits.
         UncoveredLinkWarning: A link has a visual, but no collision shape or one of another size.
         MissingVisualWarning: The mesh file of a visual is missing; the link is not drawn.
 
@@ -476,9 +511,11 @@ def load_robot(
         allow_neighbours=allow_neighbours,
         collision_from_visual=collision_from_visual,
         xacro_args=xacro_args,
+        acceleration_scale=acceleration_scale,
     )
-    if adapted.mended:
-        message = f"robot file {robot.urdf_path}: " + "\n  ".join(adapted.mended)
+    notes = (*adapted.mended, *robot.assumptions)
+    if notes:
+        message = f"robot file {robot.urdf_path}: " + "\n  ".join(notes)
         warnings.warn(message, RobotFileWarning, stacklevel=2)
     if adapted.missing_visuals:
         listed = ", ".join(f"{file} of link {link!r}" for link, file in adapted.missing_visuals)
@@ -502,7 +539,9 @@ def read_robot(path: Path | str | RobotSource | None, **options: Any) -> Robot:
 def _read_robot(path: Path | str | RobotSource | None, **options: Any) -> tuple[Robot, AdaptedUrdf]:
     """Return the robot of `load_robot`, and its URDF."""
     if isinstance(path, RobotSource):
-        options = path.options | {name: value for name, value in options.items() if value not in (None, False, (), {})}
+        options = path.options | {
+            name: value for name, value in options.items() if value not in (None, False, (), [], {})
+        }
         path = path.urdf
     return _read_file(path, **options)
 
@@ -520,6 +559,7 @@ def _read_file(
     allow_neighbours: bool = False,
     collision_from_visual: bool | Sequence[str] = False,
     xacro_args: Mapping[str, str] | None = None,
+    acceleration_scale: float | None = None,
 ) -> tuple[Robot, AdaptedUrdf]:
     """Return the robot of `load_robot`, and its URDF."""
     files = robot_files(path)
@@ -566,7 +606,12 @@ def _read_file(
     may_touch += filtered_links(urdf_path, root, adapted.urdf.links)
     if truth("allow_neighbours", allow_neighbours):
         may_touch += neighbouring_links(model)
-    acceleration, jerk = find_limits(urdf_path, adapted.urdf, joint_names, given, adapted.held)
+    scale = (
+        None
+        if acceleration_scale is None
+        else number("acceleration_scale", acceleration_scale, "a positive number [1/s]", lambda value: value > 0.0)
+    )
+    acceleration, jerk, assumed = find_limits(urdf_path, adapted.urdf, joint_names, given, adapted.held, scale)
     lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
     robot = Robot(
         name=model.name,
@@ -587,6 +632,7 @@ def _read_file(
         urdf_text=adapted.text,
         may_touch=may_touch,
         shape_faults=faults,
+        assumptions=() if assumed is None else (assumed,),
     )
     return robot, adapted
 

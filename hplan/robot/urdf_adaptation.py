@@ -20,12 +20,11 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import Record
-from hplan.base.files import is_file
 from hplan.base.units import joint_unit
 from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.robot.drawn_links import shape_links_from_visuals
 from hplan.robot.faults import Faults
-from hplan.robot.limits_file import LIMITS_ADVICE, default_limits, limits_in_place
+from hplan.robot.limits_file import limits_in_place
 from hplan.robot.mesh_files import MeshFinder
 from hplan.robot.urdf_check import hold_advice
 from hplan.robot.urdf_file import LIMIT_ADVICE, Joint, Urdf, check_inertias, check_moving_joints, read_urdf
@@ -132,8 +131,6 @@ def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice, faults: Faults
     adapted = urdf if as_is or collected.found else read_urdf(path, root, faults=collected)
     check_inertias(collected, adapted)
     check_moving_joints(collected, adapted)
-    if collected.found:
-        _check_accelerations(collected, adapted, choice)
     collected.check()
     if as_is:
         return AdaptedUrdf(urdf, None, frozenset(), {}, tool_frame=choice.tool_frame)
@@ -161,14 +158,6 @@ def _write_limits(root: ET.Element, file: Path | None) -> bool:
         for quantity, value in limits.items():
             element.set(quantity, repr(value))
     return bool(found)
-
-
-def _check_accelerations(faults: Faults, urdf: Urdf, choice: RobotChoice) -> None:
-    """Add the fault that nothing gives a file's acceleration limits."""
-    moving = [joint for joint in urdf.joints.values() if joint.element.get("type") != "fixed"]
-    is_given = choice.limits is not None or (faults.path != URDF_TEXT and is_file(default_limits(faults.path)))
-    if moving and not is_given and not any("acceleration" in joint.limits for joint in moving):
-        faults.add(f"it has no acceleration limits: {LIMITS_ADVICE}")
 
 
 class _Adaptation:

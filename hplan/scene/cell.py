@@ -36,6 +36,7 @@ class CellRobot(StrictModel):
         tool_frame: Frame at the end of the arm, for `load_robot`; None for the default frame.
         hold: Values of fixed joints [rad, m].
         collision_from_visual: True, or the names of the links, to build collision shapes from visuals (`load_robot`).
+        xacro_args: Values of the arguments of a xacro file, by name.
         position: Position of its base [m].
         rpy_deg: Rotation of its base by roll, pitch and yaw [deg].
         start: Start configuration, at rest.
@@ -50,6 +51,7 @@ class CellRobot(StrictModel):
     tool_frame: Name | None = None
     hold: Mapping[str, float] = {}
     collision_from_visual: bool | tuple[Name, ...] = False
+    xacro_args: Mapping[str, str] = {}
     position: Vector = (0.0, 0.0, 0.0)
     rpy_deg: Vector = (0.0, 0.0, 0.0)
     start: Start

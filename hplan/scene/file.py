@@ -21,6 +21,7 @@ from hplan.base.data_files import shipped_scene, shipped_scenes
 from hplan.base.files import YAML_COMMENT, ByteBudget, cut, is_file, write_marked
 from hplan.base.yaml_text import read_yaml, write_yaml
 from hplan.errors import SceneError
+from hplan.scene.imports import import_suffixes
 from hplan.scene.limits import MOST_SCENE_BYTES, MOST_SHAPE_BYTES
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Mesh, PointCloud
@@ -61,6 +62,10 @@ def load_scene(path: Path | str | None = None) -> Scene:
     given, path = path, default_scene_path() if path is None else file_path("path", path)
     if isinstance(given, str) and given in shipped_scenes() and not is_file(path):
         path = shipped_scene(given)
+    suffix = path.suffix.lower()
+    if suffix not in ("", ".yaml", ".yml", ".json") and is_file(path) and suffix in import_suffixes():
+        advice = f"name it in a scene file, among the obstacles: {{kind: import, file: {path.name}}}"
+        raise SceneError(f"it has obstacles, but no start and goal; {advice}", path=path)
     is_name = given == path.name and not path.suffix
     return read_model(
         Scene, path, hint=f"; scenes that ship with hplan: {', '.join(shipped_scenes())}" if is_name else ""

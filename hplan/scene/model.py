@@ -8,14 +8,14 @@ classes are also the schema of the scene file (`hplan.scene.file`). The arm keep
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated, Any, ClassVar, Final, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, Self
 from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from hplan.base.arguments import instance, list_of, number
 from hplan.base.arrays import FloatArray, numbers
@@ -24,6 +24,7 @@ from hplan.errors import MovingObstacleError, SceneError
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.hull import Hull
 from hplan.geometry.rotation import quaternion_rotation, rpy_rotation
+from hplan.scene.imports import Import, flatten_imports
 from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Size, Vector
 from hplan.scene.obstacle_kind import (
     CovarianceField,
@@ -44,6 +45,12 @@ FORMAT: Final = "hplan-scene/1"
 
 #: Tolerance of a quaternion's norm about 1; quaternions are normalized.
 QUATERNION_LENGTH: Final = 1e-3
+
+
+if TYPE_CHECKING:
+    _Listed = Obstacle
+else:  # an import gives way to its obstacles
+    _Listed = Annotated[AnyObstacle | Import, Field(discriminator="kind")]
 
 
 def _to_tuple(names: Any) -> Any:
@@ -79,13 +86,14 @@ class Fruit(Item):
 
 
 class JointValues(StrictModel):
-    """A configuration: one of `joints_deg`, `joints_rad`."""
+    """A configuration: one of `joints_deg`, `joints_rad`, `joints`."""
 
     joints_deg: tuple[float, ...] | None = None
     joints_rad: tuple[float, ...] | None = None
+    joints: Annotated[Mapping[Name, float] | None, Field(exclude=True)] = None
 
     #: Keys, exactly one must be given.
-    _choices: ClassVar[tuple[str, ...]] = ("joints_deg", "joints_rad")
+    _choices: ClassVar[tuple[str, ...]] = ("joints_deg", "joints_rad", "joints")
 
     @model_validator(mode="after")
     def _one_of(self) -> Self:
@@ -95,8 +103,16 @@ class JointValues(StrictModel):
             raise ValueError(f"give exactly one of {keys}; got {', '.join(given) or 'none'}")
         return self
 
-    def joints(self) -> FloatArray | None:
-        """Return the configuration [rad], or None for another kind of goal."""
+    @property
+    def has_joints(self) -> bool:
+        """True if a configuration is given, as a list or by the names of joints."""
+        return self.joints is not None or self.listed_joints() is not None
+
+    def listed_joints(self) -> FloatArray | None:
+        """Return the configuration [rad] if it is given as a list, or None.
+
+        `hplan.robot.model.Robot.joints_of` reads names of joints, too.
+        """
         if self.joints_deg is not None:
             return np.radians(self.joints_deg)
         return None if self.joints_rad is None else np.array(self.joints_rad, dtype=np.float64)
@@ -106,23 +122,25 @@ class JointValues(StrictModel):
         """The configuration [rad].
 
         Raises:
-            SceneError: The goal is not given by joints.
+            SceneError: The goal is not given by a list of joint values.
         """
-        joints = self.joints()
+        joints = self.listed_joints()
         if joints is None:
-            raise SceneError("expected a joint goal", where="goal")
+            raise SceneError("expected joint values as a list", where="goal")
         return joints
 
 
 class Start(JointValues):
     """Start of the motion: configuration, optional velocity and acceleration.
 
-    Exactly one of `joints_deg` and `joints_rad` is given. Position, velocity and acceleration of the motion are
-    continuous at the start.
+    Exactly one of `joints_deg`, `joints_rad` and `joints` is given. Position, velocity and acceleration of the motion
+    are continuous at the start.
 
     Attributes:
         joints_deg: Joint values [deg]; for general robots with prismatic joints use `joints_rad`.
         joints_rad: Joint values [rad or m].
+        joints: Joint values by name: `{"rail_m": 0.3, "shoulder_deg": 40}`. A name ends in a unit, `_deg`, `_rad`, `_m`
+            or `_mm`, or has none for rad and m. All joints are named.
         velocity_rad_s: Joint velocities [rad/s or m/s]; None for zero.
         acceleration_rad_s2: Joint accelerations [rad/s^2 or m/s^2]; None for zero.
 
@@ -140,7 +158,7 @@ class Start(JointValues):
 
     @model_validator(mode="after")
     def _lengths_agree(self) -> Self:
-        joints = self.joints_deg if self.joints_deg is not None else self.joints_rad or ()
+        joints = self.joints_deg or self.joints_rad or self.joints or ()
         for key, values in self.rates.items():
             if len(values) != len(joints):
                 raise fault(f"expected a value for each of {len(joints)} joints, got {len(values)}", key)
@@ -164,11 +182,12 @@ class Start(JointValues):
 class Goal(JointValues):
     """Goal of the motion: joints, tool position, fruit or tool pose.
 
-    Exactly one of `joints_deg`, `joints_rad`, `position` and `fruit` is given.
+    Exactly one of `joints_deg`, `joints_rad`, `joints`, `position` and `fruit` is given.
 
     Attributes:
         joints_deg: Joint values [deg].
         joints_rad: Joint values [rad or m].
+        joints: Joint values by name, as for `Start`; joints that are not named keep the start's values.
         position: Position of `tool0` in `base_link` [m].
         fruit: Name of a fruit of the scene.
         approach_deg: Angle, or interval of angles, of the tool axis at a position or fruit (0: outward, 90: up) [deg].
@@ -191,11 +210,11 @@ class Goal(JointValues):
     quaternion_xyzw: Annotated[tuple[float, float, float, float] | None, Field(exclude=True)] = None
     frame: Annotated[Name | None, Field(exclude=True)] = None
 
-    _choices: ClassVar[tuple[str, ...]] = ("joints_deg", "joints_rad", "position", "fruit")
+    _choices: ClassVar[tuple[str, ...]] = ("joints_deg", "joints_rad", "joints", "position", "fruit")
 
     @model_validator(mode="after")
     def _approach_is_free(self) -> Goal:
-        if self.approach_deg is not None and self.joints() is not None:
+        if self.approach_deg is not None and self.has_joints:
             raise ValueError("approach_deg belongs to a position or a fruit; a joint goal fixes the approach angle")
         return self
 
@@ -273,7 +292,7 @@ class Scene(StrictModel):
     goal: Goal
     locked_joints: tuple[str, ...] = ()
     clearance: Annotated[float, Field(ge=0.0, le=FARTHEST_M)] = 0.0
-    obstacles: Annotated[tuple[Obstacle, ...], Field(max_length=MOST_OBSTACLES)] = ()
+    obstacles: Annotated[tuple[_Listed, ...], AfterValidator(flatten_imports), Field(max_length=MOST_OBSTACLES)] = ()
     fruits: Annotated[tuple[Fruit, ...], Field(max_length=MOST_OBSTACLES)] = ()
     base_track: TrackField = None
     covariance: CovarianceField = None

@@ -1,4 +1,4 @@
-"""A robot's file with the options that it is read with, as scenes and studies name it."""
+"""A robot's file with the options that it is read with, as scenes name it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated, Any, TypeAlias
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
 
-from hplan.base.checked import StrictModel
+from hplan.base.checked import Positive, StrictModel
 from hplan.base.data_files import robot_names
 from hplan.scene.obstacle_kind import Name
 
@@ -39,6 +39,7 @@ class RobotSource(StrictModel):
         srdf: SRDF with the pairs of links that may touch.
         allow_neighbours: Whether links with one joint between them may touch.
         collision_from_visual: True, or the names of the links, to build collision shapes from visuals.
+        acceleration_scale: Ratio of acceleration to velocity limits, if nothing gives acceleration limits [1/s].
         xacro_args: Values of the arguments of a xacro file.
 
     Examples:
@@ -57,6 +58,7 @@ class RobotSource(StrictModel):
     srdf: Name | None = None
     allow_neighbours: bool = False
     collision_from_visual: bool | tuple[Name, ...] = False
+    acceleration_scale: Positive | None = None
     xacro_args: Mapping[str, Annotated[str, BeforeValidator(_to_text)]] = {}
 
     def __hash__(self) -> int:

@@ -33,7 +33,7 @@ from hplan.planning.motion import Motion, Transit, certificate_of, in_sequence, 
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task
 from hplan.planning.problem import Problem
-from hplan.planning.report import far_report, motion_report
+from hplan.planning.report import assumptions_report, far_report, motion_report
 from hplan.planning.stages import Progress, no_progress
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene
@@ -403,6 +403,7 @@ class TourPlanner:
             "status": "ok",
             "scene": self.scene.name,
             "robot": self.robot.name,
+            **assumptions_report(self.robot),
             "tour": {
                 "order": self.tour.order,
                 "every": None if self.tour.drop_off is None else self.tour.every or 1,

@@ -764,6 +764,7 @@ def _load_arm(arm: CellRobot, folder: Path) -> Robot:
         tool_frame=arm.tool_frame,
         hold=arm.hold,
         collision_from_visual=arm.collision_from_visual,
+        xacro_args=arm.xacro_args,
     )
 
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 import hplan
-from hplan.apps.ros import to_joint_trajectory
+from hplan.apps.ros import cloud_points, to_joint_trajectory
 from hplan.scene import Start
 
 #: Radius of the ball about each point of the cloud [m].
@@ -39,17 +39,6 @@ ERROR_CODES = {
     -4: "path tolerance violated",
     -5: "goal tolerance violated",
 }
-
-
-def points_of(cloud: Any) -> np.ndarray:
-    """The (n, 3) points of a `sensor_msgs/msg/PointCloud2`; NaN without a return [m]."""
-    order = ">" if cloud.is_bigendian else "<"
-    fields = {field.name: (field.offset, f"{order}f{4 if field.datatype == 7 else 8}") for field in cloud.fields}
-    offsets, formats = zip(*(fields[axis] for axis in "xyz"), strict=True)
-    kind = np.dtype({"names": list("xyz"), "formats": formats, "offsets": offsets, "itemsize": cloud.point_step})
-    rows = np.frombuffer(bytes(cloud.data), np.uint8).reshape(cloud.height, cloud.row_step)
-    points = np.ascontiguousarray(rows[:, : cloud.width * cloud.point_step]).reshape(-1).view(kind)
-    return np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=1)
 
 
 class ArmState:
@@ -121,7 +110,7 @@ def main() -> None:
         def seen(self, cloud: Any) -> None:
             try:
                 joints = self.arm.configuration(time.monotonic())
-                report = self.planner.set_cloud("camera", points_of(cloud), radius=RADIUS_M, joints=joints)
+                report = self.planner.set_cloud("camera", cloud_points(cloud), radius=RADIUS_M, joints=joints)
             except hplan.HplanError as error:
                 self.get_logger().warning(f"cloud not taken: {error}")
                 return

@@ -96,7 +96,7 @@ def joined(robot: Robot, scene: Scene, step_deg: float) -> bool:
     checker = CoalScene(robot, scene.solids)
     occupied = sampled_occupancy(checker, grid)
     labels, _ = ndimage.label(~occupied, structure=np.ones((3, 3, 3)))
-    start, goal = (labels[tuple(grid.nearest_node(target.joints()[1:]))] for target in (scene.start, scene.goal))
+    start, goal = (labels[tuple(grid.nearest_node(target.listed_joints()[1:]))] for target in (scene.start, scene.goal))
     assert start != 0
     assert goal != 0
     return bool(start == goal)

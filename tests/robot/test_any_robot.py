@@ -19,7 +19,7 @@ from hplan.base.data_files import robot_names, shipped_limits, shipped_robots
 from hplan.base.yaml_text import read_yaml
 from hplan.collision.collision_bodies import collision_bodies
 from hplan.collision.touching_pairs import self_pairs
-from hplan.errors import InputError, RobotFamilyError, RobotFileError
+from hplan.errors import InputError, RobotFamilyError, RobotFileError, RobotFileWarning
 from hplan.planar.family_reader import family_of, is_planar
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.files import NAMED_ROBOTS, named_robot, read_srdf
@@ -142,7 +142,7 @@ def test_missing_tool_frame_is_reported_before_its_joints():
 
 def test_limits_that_ship_are_taken_by_the_name_of_their_robot():
     text, limits = six_axis_arm(), shipped_limits("ur5")
-    with pytest.raises(RobotFileError, match=r"or the name of a robot whose limits ship with hplan: harvester, .*ur5"):
+    with pytest.warns(RobotFileWarning, match=r"or the name of a robot whose limits ship with hplan: harvester, .*ur5"):
         load_robot(text)
     with pytest.raises(RobotFileError, match=r"ur5\.limits\.yaml: .*joints missing"):
         load_robot(text, limits="ur5")

@@ -70,9 +70,9 @@ def test_scenes_that_contradict_themselves(changes, message):
 
 @pytest.mark.parametrize("given", [{}, {"joints_deg": (0.0,), "joints_rad": (0.0,)}])
 def test_one_way_to_give_a_configuration(given):
-    with pytest.raises(SceneError, match="exactly one of joints_deg, joints_rad"):
+    with pytest.raises(SceneError, match="exactly one of joints_deg, joints_rad, joints;"):
         Start(**given)
-    with pytest.raises(SceneError, match="exactly one of joints_deg, joints_rad, position, fruit"):
+    with pytest.raises(SceneError, match="exactly one of joints_deg, joints_rad, joints, position, fruit"):
         Goal(**given)
 
 

@@ -140,7 +140,7 @@ def within_reach(robot, point, *, clear_of=None) -> bool:
 
 def test_start_is_tucked_away_from_trees_and_vehicle(grown, robot):
     options, scene = grown
-    start = scene.start.joints()
+    start = scene.start.listed_joints()
     assert scene.start.joints_deg == TUCKED_DEG
     # At any yaw the arm is behind its axis or to the side of it.
     obstacles = [o for o in (*scene.obstacles, *balls(scene)) if o.name not in ("vehicle", "ground")]

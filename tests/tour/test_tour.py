@@ -20,6 +20,7 @@ from hplan.certificate.certificate import Certificate
 from hplan.certificate.limit_use import LimitUse
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, TourError, UnreachableError
+from hplan.planar.family_reader import family_of
 from hplan.planning.motion import Motion
 from hplan.planning.options import PlanOptions
 from hplan.planning.problem import Problem
@@ -209,7 +210,7 @@ def test_drop_off_after_two(robot: Robot, scene: Scene, carried: TourResult) -> 
     to_fruit = ["transit", "approach", "retreat"]
     assert words == [to_fruit, [*to_fruit, "drop"], to_fruit, [*to_fruit, "drop"], ["return"]]
     assert carried.legs[-1].fruit is None
-    motion, drop = carried.trajectory, DROP.joints()
+    motion, drop = carried.trajectory, DROP.listed_joints()
     first, second = (carried.legs[i].trajectory.position[-1] for i in (1, 3))
     np.testing.assert_allclose([first, second], [drop, drop], rtol=0, atol=1e-9)
     np.testing.assert_allclose(motion.position[-1], scene.start.configuration, rtol=0, atol=1e-9)
@@ -222,7 +223,7 @@ def test_drop_off_after_two(robot: Robot, scene: Scene, carried: TourResult) -> 
 def test_carried_fruit_is_clear(robot: Robot, scene: Scene, carried: TourResult) -> None:
     """Between picking and letting go there is a fruit at the tool."""
     thick = with_carried_fruit(robot, 0.04)
-    np.testing.assert_allclose(thick.arm.half_widths, [0.05, 0.04, 0.04], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(family_of(thick).arm.half_widths, [0.05, 0.04, 0.04], rtol=0, atol=1e-12)
     motion, contact = carried.trajectory, times_of_contact(carried)
     checker_at = checkers(thick, scene, carried)
     for name in carried.order:

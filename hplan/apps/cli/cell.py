@@ -53,6 +53,8 @@ _OF_ONE_ROBOT = (
         "srdf",
         "package_dir",
         "xacro",
+        "acceleration_scale",
+        "tool_tube_m",
         "allow_neighbours",
         "drop_inside",
         "yield_links",

@@ -85,6 +85,8 @@ _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
         {"type": Path, "metavar": "URDF"}),
     ("robot", "--limits", "limits file, or name of a robot whose limits ship with hplan (default: "
         "NAME.limits.yaml next to the URDF)", {"type": Path, "metavar": "YAML"}),
+    ("parts", "--acceleration-scale", "acceleration limits as a multiple of the velocity limits, if no file gives them "
+        "(default: 2 per second)", {"type": float, "metavar": "PER_S"}),
     ("parts", "--hold", "positions of locked joints, in radians or, for prismatic joints, metres",
         {"nargs": "+", "action": "extend", "default": [], "metavar": "NAME=RAD"}),
     ("parts", "--tool-frame", "frame at the end of the arm (default: tool0, or the named robot's)",
@@ -282,6 +284,7 @@ def robot_options(arguments: argparse.Namespace) -> dict[str, Any]:
         "allow_neighbours": arguments.allow_neighbours,
         "collision_from_visual": from_visual(arguments),
         "xacro_args": xacro_arguments(arguments),
+        "acceleration_scale": arguments.acceleration_scale,
     }
 
 

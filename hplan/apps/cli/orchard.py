@@ -43,7 +43,10 @@ _GROWN = ("form", "trees", "branches", "shoots", "tree_height", "branch_length",
 _MEASURED = ("turn",)
 
 #: Destinations of the options of the robot.
-_ROBOT = ("robot", "limits", "hold", "tool_frame", "tool_tube_m", "srdf", "allow_neighbours", "package_dir", "xacro")
+_ROBOT = (
+    *("robot", "limits", "hold", "tool_frame", "tool_tube_m", "srdf", "allow_neighbours", "package_dir", "xacro"),
+    *("acceleration_scale", "collision_from_visual"),
+)
 
 
 def parser(prog: str) -> argparse.ArgumentParser:

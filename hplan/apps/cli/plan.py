@@ -251,6 +251,8 @@ def show_summary(console: Console, result: PlanResult, folder: Path, files: Sequ
         add("", escape(violation))
     for row in uncovered_rows(proof.get("uncovered_links", ())):
         add(*row)
+    for assumption in report.get("assumptions", ()):
+        add("assumed", f"[yellow]{escape(assumption.partition(':')[0])}[/]")
     add("time", _time_words(report["time_ms"]))
     add("files", f"{escape(folder)}: {', '.join(files)}")
     show(console, report["scene"], report["robot"], table)

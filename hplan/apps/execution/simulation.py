@@ -350,7 +350,7 @@ def _joints(robot: Robot, scene: Scene, which: str, end: FloatArray) -> FloatArr
 
     Continuous joints of the goal are shifted by whole turns to the values nearest to the motion's end.
     """
-    joints = robot.joints_of(scene.start if which == "start" else scene.goal, which)
+    joints = robot.joints_of(scene.start if which == "start" else scene.goal, which, scene.start)
     if joints is None:
         return None
     robot = robot.about(end)

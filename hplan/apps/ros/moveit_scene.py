@@ -31,7 +31,7 @@ SIZES: Final = {"sphere": 1, "box": 3, "cylinder": 2, "cone": 2}
 
 #: Reasons why planes and octomaps are refused.
 NO_PLANE: Final = "a plane is infinite; replace it by a box"
-NO_OCTOMAP: Final = "octomaps are not supported; give the points as a point cloud"
+NO_OCTOMAP: Final = "octomaps are not supported in this format; save the map as a `.bt` file for `read_octomap`"
 
 
 def planning_frame(position: Sequence[float], rpy_deg: Sequence[float], prefix: str, open_meshes: str) -> pin.SE3:

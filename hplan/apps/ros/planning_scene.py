@@ -17,7 +17,8 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
-from hplan.apps.ros.moveit_scene import NO_OCTOMAP, NO_PLANE, SIZES, OpenMeshes, mesh, planning_frame, pose, shape
+from hplan.apps.ros.moveit_scene import NO_PLANE, SIZES, OpenMeshes, mesh, planning_frame, pose, shape
+from hplan.apps.ros.octomap import read_octomap
 from hplan.base.arguments import file_path, is_number, list_of
 from hplan.base.files import ByteBudget
 from hplan.base.yaml_text import read_yaml
@@ -25,7 +26,7 @@ from hplan.errors import OptionError, SceneError
 from hplan.scene.limits import MOST_SCENE_BYTES, Vector
 from hplan.scene.obstacles import Obstacle
 
-#: Parts that are refused if they hold anything, unless they are left out by name.
+#: Parts that can be left out by name; all but the octomap are otherwise refused if they hold anything.
 PARTS: Final = (
     "attached_collision_objects",
     "link_padding",
@@ -78,7 +79,6 @@ def check_parts(message: Mapping[str, Any], world: Mapping[str, Any], where: str
         ("link_padding", _link_fault(message, "link_padding", "padding", 0.0), "link_padding"),
         ("link_scale", _link_fault(message, "link_scale", "scale", 1.0), "link_scale"),
         ("allowed_collision_matrix", _allowed_fault(message, names), "allowed_collision_matrix"),
-        ("octomap", _octomap_fault(world, where), key_path(where, "octomap")),
         ("is_diff", _diff_fault(message), "is_diff"),
     ):
         if fault and part not in leave_out:
@@ -145,13 +145,6 @@ def _allowed_fault(message: Mapping[str, Any], names: Collection[Any]) -> str:
             thing, link = (one, other) if one in names else (other, one)
             return f"{thing!r} may touch {link!r}, but hplan keeps all links clear of all obstacles"
     return ""
-
-
-def _octomap_fault(world: Mapping[str, Any], where: str) -> str:
-    octomap = check_mapping(or_else(world.get("octomap"), {}), key_path(where, "octomap"))
-    inner = check_mapping(or_else(octomap.get("octomap"), {}), key_path(where, "octomap.octomap"))
-    data = or_else(inner.get("data"), ())
-    return NO_OCTOMAP if not is_number(data) and len(data) else ""
 
 
 def _diff_fault(message: Mapping[str, Any]) -> str:
@@ -347,9 +340,9 @@ def read_planning_scene(
 
     The objects of its world are read, in the planning frame or in a frame of `fixed_frame_transforms`. As in MoveIt, a
     missing pose is the identity, and a quaternion of zeros is no rotation. Attached objects, paddings and scales of
-    links, allowed collisions of objects, octomaps, planes and differences (`is_diff`) are refused. Allowed collisions
-    between links are ignored, because `load_robot` takes them from the SRDF; colours, subframes and joint states are
-    ignored too.
+    links, allowed collisions of objects, planes and differences (`is_diff`) are refused. The occupied space of an
+    octomap is read as boxes (`read_octomap`). Allowed collisions between links are ignored, because `load_robot` takes
+    them from the SRDF; colours, subframes and joint states are ignored too.
 
     Args:
         source: The message or its `world` alone, as a dict or as the path of a YAML or JSON file.
@@ -417,6 +410,8 @@ class _World:
         check_keys(world, WORLD, self.where)
         self.objects = sequence(world["collision_objects"], key_path(self.where, "collision_objects"))
         check_parts(message if self.where else {}, world, self.where, leave_out)
+        octomap = {} if "octomap" in leave_out else or_else(world.get("octomap"), {})
+        self.octomap = check_mapping(octomap, key_path(self.where, "octomap"))
         self.frames = FixedFrames(message if self.where else {})
 
 
@@ -453,6 +448,23 @@ def _read_obstacles(world: _World, base: pin.SE3, prefix: str, open_meshes: Open
             except SceneError as error:
                 inside = (error.where or "").startswith(at)
                 raise SceneError(error.reason, where=error.where if inside else at, value=error.value) from error
+    yield from _read_octomap(world, base, f"{prefix}octomap")
+
+
+def _read_octomap(world: _World, base: pin.SE3, name: str) -> tuple[Obstacle, ...]:
+    """Boxes of the octomap (`octomap_msgs/msg/OctomapWithPose`); none of an empty one."""
+    where = key_path(world.where, "octomap")
+    content = check_mapping(or_else(world.octomap.get("octomap"), {}), f"{where}.octomap")
+    data = or_else(content.get("data"), ())
+    if not is_number(data) and len(data) == 0:
+        return ()
+    origin = pose_of(world.octomap.get("origin"), f"{where}.origin")
+    place = base * world.frames.place(frame_of(world.octomap, where), name, where) * origin
+    rpy_deg = tuple(np.degrees(pin.rpy.matrixToRpy(place.rotation)).tolist())
+    try:
+        return read_octomap(content, name=name, position=tuple(place.translation.tolist()), rpy_deg=rpy_deg)
+    except SceneError as error:
+        raise SceneError(error.reason, where=key_path(f"{where}.octomap", error.where or "")) from error
 
 
 def _iterate_placed_shapes(

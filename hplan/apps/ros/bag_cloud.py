@@ -1,0 +1,193 @@
+"""Point clouds from rosbags (ROS 2: a folder, `.mcap`, `.db3`; ROS 1: `.bag`); needs the extra `ros`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pinocchio as pin
+
+from hplan.apps.ros.moveit_scene import planning_frame, pose
+from hplan.base.arguments import check_between, file_path, text
+from hplan.base.arrays import FloatArray
+from hplan.base.files import note_input
+from hplan.base.lazy_import import extra
+from hplan.errors import SceneError
+from hplan.scene.limits import Vector
+from hplan.scene.obstacles import PointCloud
+
+#: Type of clouds and of transforms, in ROS 1 and 2.
+_CLOUD: Final = "sensor_msgs/msg/PointCloud2"
+_TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
+
+#: Formats of the coordinates by `PointField.datatype`.
+_FORMATS: Final = {7: "f4", 8: "f8"}
+
+
+def cloud_points(message: Any) -> FloatArray:
+    """(n, 3) points of a `sensor_msgs/msg/PointCloud2` in its frame [m]; NaN without a return.
+
+    Args:
+        message: An object with the message's fields, as from rclpy or rosbags.
+
+    Raises:
+        SceneError: The message has no float fields x, y and z, or its data do not fit its size.
+    """
+    order = ">" if message.is_bigendian else "<"
+    fields = {field.name: (field.offset, _FORMATS.get(field.datatype)) for field in message.fields}
+    missing = [axis for axis in "xyz" if fields.get(axis, (0, None))[1] is None]
+    if missing:
+        raise SceneError(f"expected fields x, y and z of float32 or float64, got {', '.join(fields) or 'none'}")
+    formats = [f"{order}{fields[axis][1]}" for axis in "xyz"]
+    offsets, wide, high = [fields[axis][0] for axis in "xyz"], message.width * message.point_step, message.height
+    try:
+        kind = np.dtype({"names": [*"xyz"], "formats": formats, "offsets": offsets, "itemsize": message.point_step})
+        rows = np.frombuffer(bytes(message.data), np.uint8).reshape(high, message.row_step)
+        points = np.ascontiguousarray(rows[:, :wide]).reshape(-1).view(kind)
+    except ValueError as error:
+        raise SceneError(f"the data do not fit width, height and steps of the cloud: {error}") from error
+    return np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=1)
+
+
+def read_bag_cloud(
+    path: Path | str,
+    *,
+    radius: float,
+    topic: str | None = None,
+    time_s: float = 0.0,
+    frame: str = "base_link",
+    name: str = "cloud",
+    position: Vector | None = None,
+    rpy_deg: Vector | None = None,
+) -> PointCloud:
+    """Read one cloud of a rosbag as an obstacle.
+
+    Points that are not finite are left out; those of the arm itself are not (`hplan.Planner.set_cloud` removes them).
+
+    Args:
+        path: A bag: a folder or `.mcap` or `.db3` file of ROS 2, a `.bag` file of ROS 1.
+        radius: Radius of the ball about each point [m].
+        topic: Topic of the clouds; None for the only one.
+        time_s: The first cloud at or after this time since the start of the bag is read [s].
+        frame: Frame of the base. Unless the cloud is in it, or its pose is given, the bag's transforms lead to it.
+        name: Name of the obstacle.
+        position: Position of the cloud's frame in `base_link` [m]; with it or `rpy_deg` no transforms are used.
+        rpy_deg: Orientation of the cloud's frame: roll, pitch and yaw about fixed axes [deg].
+
+    Raises:
+        SceneError: The bag is missing or malformed, has no such topic or cloud, or no transforms between the frames.
+        OptionError: An option of the wrong type or range.
+        InputError: rosbags is not installed.
+    """
+    path = file_path("path", path)
+    check_between("time_s", time_s, 0.0, 1e9)
+    text("frame", frame, "the frame of the base")
+    given = planning_frame(position or (0.0, 0.0, 0.0), rpy_deg or (0.0, 0.0, 0.0), name, "refuse")
+    with _open_bag(path) as bag:
+        cloud = _find_cloud(bag, path, topic, time_s)
+        points = cloud_points(cloud)
+        points = points[np.isfinite(points).all(axis=1)]
+        if not len(points):
+            raise SceneError("the cloud has no finite points", path=path)
+        own = _plain(cloud.header.frame_id)
+        placed = position is not None or rpy_deg is not None or own == _plain(frame)
+        place = given if placed else _Transforms(bag, path, _seconds(cloud.header.stamp)).between(_plain(frame), own)
+    return PointCloud.from_points(name, points @ place.rotation.T + place.translation, radius)
+
+
+@contextmanager
+def _open_bag(path: Path) -> Iterator[Any]:
+    """Open a bag for reading.
+
+    Raises:
+        SceneError: It cannot be read.
+    """
+    with extra("ros", "bags need rosbags"):
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    store = get_typestore(Stores.ROS1_NOETIC if path.suffix == ".bag" else Stores.ROS2_JAZZY)
+    try:
+        with AnyReader([path], default_typestore=store) as bag:
+            note_input(path)
+            yield bag
+    except SceneError:
+        raise
+    except FileNotFoundError as error:
+        raise SceneError("No such file or directory", path=path) from error
+    except Exception as error:  # the readers of the formats raise errors of many kinds
+        raise SceneError(f"the bag cannot be read: {error}", path=path) from error
+
+
+def _find_cloud(bag: Any, path: Path, topic: str | None, time_s: float) -> Any:
+    """The first cloud of a topic at or after a time since the start of the bag [s]."""
+    found = {each.topic: each for each in sorted(bag.connections, key=lambda one: one.topic) if each.msgtype == _CLOUD}
+    if topic is None and len(found) != 1:
+        reason = f"expected a topic, one of {', '.join(found)}" if found else f"it has no topic of type {_CLOUD}"
+        raise SceneError(reason, path=path)
+    if topic is not None and topic not in found:
+        known = ", ".join(found) or "none"
+        raise SceneError(f"expected a topic of type {_CLOUD} ({known}), got {topic!r}", path=path, value=topic)
+    chosen = next(iter(found.values())) if topic is None else found[topic]
+    start = bag.start_time + round(1e9 * time_s)
+    for connection, _, data in bag.messages([chosen], start=start):
+        return bag.deserialize(data, connection.msgtype)
+    long_s = 1e-9 * (bag.end_time - bag.start_time)
+    raise SceneError(f"no cloud of {chosen.topic} at or after {time_s:g} s; the bag is {long_s:.6g} s long", path=path)
+
+
+class _Transforms:
+    """Transforms of a bag, each the nearest in time."""
+
+    def __init__(self, bag: Any, path: Path, at_s: float) -> None:
+        self._path = path
+        self._parents: dict[str, tuple[float, str, Any]] = {}
+        for connection, _, data in bag.messages([each for each in bag.connections if each.msgtype == _TRANSFORMS]):
+            is_static = connection.topic.endswith("tf_static")
+            for item in bag.deserialize(data, connection.msgtype).transforms:
+                off_s = 0.0 if is_static else abs(_seconds(item.header.stamp) - at_s)
+                child = _plain(item.child_frame_id)
+                if off_s <= self._parents.get(child, (math.inf,))[0]:
+                    self._parents[child] = off_s, _plain(item.header.frame_id), item.transform
+
+    def between(self, base: str, frame: str) -> pin.SE3:
+        """Pose of a frame in the base frame.
+
+        Raises:
+            SceneError: No transforms connect them, or one is malformed.
+        """
+        ways = self._way_up(base), self._way_up(frame)
+        common = next((root for root in ways[1] if root in ways[0]), None)
+        if common is None:
+            known = ", ".join(sorted({*self._parents, *(parent for _, parent, _ in self._parents.values())})) or "none"
+            reason = f"no transforms lead from {frame!r} to {base!r} (frames: {known}); give position and rpy_deg"
+            raise SceneError(reason, path=self._path, value=frame)
+        place: pin.SE3 = ways[0][common].inverse() * ways[1][common]
+        return place
+
+    def _way_up(self, frame: str) -> Mapping[str, pin.SE3]:
+        """Poses of a frame in itself and in all frames above it."""
+        place, found = pin.SE3.Identity(), {frame: pin.SE3.Identity()}
+        while frame in self._parents:
+            _, parent, transform = self._parents[frame]
+            shift, turn = transform.translation, transform.rotation
+            try:
+                place = pose((shift.x, shift.y, shift.z), (turn.x, turn.y, turn.z, turn.w)) * place
+            except ValueError as error:
+                raise SceneError(f"transform of {frame!r}: {error}", path=self._path) from error
+            if parent in found:
+                raise SceneError(f"frame {frame!r} is its own parent", path=self._path)
+            frame, found[parent] = parent, place
+        return found
+
+
+def _plain(frame: str) -> str:
+    """Frame name without the leading slash of ROS 1."""
+    return frame.removeprefix("/")
+
+
+def _seconds(stamp: Any) -> float:
+    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)

@@ -58,7 +58,7 @@ def measure_workspace(robot: Robot) -> Workspace:
     """Sample where the tool reaches in front of the base.
 
     Of the distances and heights that the tool reaches within 60 deg of the x axis, pointing outwards, it is the largest
-    rectangle of which nine tenths are reached. It is above the base unless the arm hangs.
+    rectangle of which nine tenths are reached. It is above the base of a standing arm, and below that of a hanging one.
 
     Raises:
         InputError: The tool does not reach to the front of the base.
@@ -67,7 +67,7 @@ def measure_workspace(robot: Robot) -> Workspace:
     poses = robot.forward_kinematics(q)
     points, axes = poses[:, :3, 3], poses[:, :3, :3] @ robot.tool_axis
     distances = np.hypot(points[:, 0], points[:, 1])
-    front = np.abs(np.arctan2(points[:, 1], points[:, 0])) <= math.radians(60.0)
+    front = (distances > 1e-3) & (np.abs(np.arctan2(points[:, 1], points[:, 0])) <= math.radians(60.0))
     outward = (points[:, :2] * axes[:, :2]).sum(axis=1) >= 0.5 * distances
     # Tools that only point down, as of a SCARA, reach from above. Fewer samples say nothing.
     fewest = 100
@@ -84,13 +84,20 @@ def measure_workspace(robot: Robot) -> Workspace:
     reached = counts >= 2
     reached[:3] = False  # where the trees would stand in the base
     whole = _largest_rectangle(reached)
-    above = _largest_rectangle(reached & (np.arange(reached.shape[1]) + lowest >= 1))
-    is_hanging = _area(above) < 0.3 * _area(whole)
-    first, last, bottom, top = whole if is_hanging else above
-    if _area((first, last, bottom, top)) == 0:
+    levels = np.arange(reached.shape[1]) + lowest
+    chosen = _largest_rectangle(reached & (levels < -1 if _hangs(robot) else levels >= 1))
+    first, last, bottom, top = whole if _area(chosen) < 0.3 * _area(whole) else chosen
+    if _area(whole) == 0:
         reason = "its tool reaches hardly anywhere with its axis outwards; tool_frame (--tool-frame) selects another"
         raise InputError(f"robot {robot.name!r}: {reason}", robot=robot.name)
     return Workspace(first * cell, last * cell, (bottom + lowest) * cell, (top + lowest) * cell)
+
+
+def _hangs(robot: Robot) -> bool:
+    """True if the base is upside down."""
+    base = "base_link"
+    is_given = robot.model.existFrame(base)
+    return is_given and float(robot.forward_kinematics(np.zeros(robot.dof), base)[2, 2]) < -0.5
 
 
 def _area(rectangle: tuple[int, int, int, int]) -> int:

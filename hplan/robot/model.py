@@ -539,10 +539,8 @@ def read_robot(path: Path | str | RobotSource | None, **options: Any) -> Robot:
 def _read_robot(path: Path | str | RobotSource | None, **options: Any) -> tuple[Robot, AdaptedUrdf]:
     """Return the robot of `load_robot`, and its URDF."""
     if isinstance(path, RobotSource):
-        options = path.options | {
-            name: value for name, value in options.items() if value not in (None, False, (), [], {})
-        }
-        path = path.urdf
+        given = {name: value for name, value in options.items() if value not in (None, False, (), [], {})}
+        options, path = path.options | given, path.urdf
     return _read_file(path, **options)
 
 

@@ -19,7 +19,17 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from hplan.base.arguments import check_between, check_each, file_path, instance, list_of, nearest_name, number, truth
+from hplan.base.arguments import (
+    check_between,
+    check_each,
+    file_path,
+    folder_path,
+    instance,
+    list_of,
+    nearest_name,
+    number,
+    truth,
+)
 from hplan.base.arrays import BoolArray, FloatArray, Record, as_array, numbers, readonly
 from hplan.base.files import is_file
 from hplan.base.units import FARTHEST_JOINT, NAME_UNITS, JointUnit, joint_unit
@@ -570,7 +580,7 @@ def _read_file(
             name: number(f"hold[{name!r}]", value, "a position")
             for name, value in _read_hold("hold", hold, "{joint: value}").items()
         },
-        (*check_each("package_dirs", package_dirs, "a list of folders", file_path), *files.package_dirs),
+        (*check_each("package_dirs", package_dirs, "a list of folders", folder_path), *files.package_dirs),
         ()
         if isinstance(collision_from_visual, bool)
         else list_of("collision_from_visual", collision_from_visual, str, "names of links"),

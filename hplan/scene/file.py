@@ -207,12 +207,24 @@ def save_scene(scene: Scene, path: Path | str) -> Path:
         ...     load_scene(path) == scene
         True
     """
+    return stage_scene(scene, path, path)
+
+
+def stage_scene(scene: Scene, path: Path | str, final: Path | str) -> Path:
+    """Write a scene file as `save_scene` does, at a path that it is moved from.
+
+    Args:
+        final: Path of the scene file after the move: other files are named relative to its folder.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
     instance("scene", scene, Scene, "load_scene")
-    path = file_path("path", path)
+    path, final = file_path("path", path), file_path("path", final)
     shapes = {index: found for index, found in enumerate(scene.obstacles) if isinstance(found, Mesh | PointCloud)}
     taken = {shape.path for shape in shapes.values()}
     obstacles = [
-        _with_file(shapes[index], path, index, taken) if index in shapes else obstacle
+        _with_file(shapes[index], (path, final), index, taken) if index in shapes else obstacle
         for index, obstacle in enumerate(scene.obstacles)
     ]
     changes: dict[str, Any] = {"obstacles": tuple(obstacles)}
@@ -222,19 +234,19 @@ def save_scene(scene: Scene, path: Path | str) -> Path:
 
 
 def _with_file(
-    obstacle: Mesh | PointCloud, scene_path: Path, index: int, taken: Collection[Path | None]
+    obstacle: Mesh | PointCloud, scene_paths: tuple[Path, Path], index: int, taken: Collection[Path | None]
 ) -> Mesh | PointCloud:
-    """Return the obstacle with a file that a scene at `scene_path` finds.
+    """Return the obstacle with a file that a scene finds at the second path, written next to the first.
 
     A new file does not take the path of another obstacle (`taken`).
     """
-    folder = scene_path.absolute().parent
+    scene_path, folder = scene_paths[1], scene_paths[1].absolute().parent
     if obstacle.file is None:
         plain = "".join(sign if sign.isalnum() or sign in "-_." else "-" for sign in obstacle.name)
         stem = f"{cut(scene_path.stem)}-{index}-{cut(plain)}"
         others = (f"{stem}-{number}.ply" for number in itertools.count(2))
         file = next(name for name in itertools.chain([f"{stem}.ply"], others) if folder / name not in taken)
-        obstacle.write(folder / file)
+        obstacle.write(scene_paths[0].absolute().parent / file)
     else:
         file = obstacle.file
         if obstacle.path is not None and (folder / file).absolute() != obstacle.path:

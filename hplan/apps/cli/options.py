@@ -6,6 +6,7 @@ import argparse
 import difflib
 import math
 import re
+import sys
 import textwrap
 from collections.abc import Collection
 from pathlib import Path
@@ -39,11 +40,15 @@ class _Parser(argparse.ArgumentParser):
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse the arguments, and refuse unknown ones."""
+        words = list(sys.argv[1:] if args is None else args)
+        if "" in words:  # as of an unset variable of a shell; as a path it would be the current folder
+            before = f" after {words[words.index('') - 1]}" if words.index("") else ""
+            self.error(f"an argument is empty{before}")
         found, unknown = self.parse_known_args(args, namespace)
         if unknown:
             known = [name for action in self._actions for name in action.option_strings]
-            words = [word.partition("=")[0] for word in unknown if word.startswith("-")]
-            near = {word: difflib.get_close_matches(word, known, 1) for word in words}
+            wrong = [word.partition("=")[0] for word in unknown if word.startswith("-")]
+            near = {word: difflib.get_close_matches(word, known, 1) for word in wrong}
             hints = [f"did you mean {names[0]} for {word}?" for word, names in near.items() if names]
             self.error("; ".join([f"unrecognized arguments: {' '.join(unknown)}", *hints]))
         return found

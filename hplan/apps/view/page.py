@@ -31,7 +31,7 @@ from hplan.base.units import at_least_mm
 from hplan.errors import HplanError
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-from hplan.trajectory.trajectory import Phase, Trajectory
+from hplan.trajectory.trajectory import Phase, Trajectory, check_trajectory_joints
 
 if TYPE_CHECKING:
     from hplan.apps.view.playback import Shown
@@ -243,6 +243,7 @@ def render_page(robot: Robot, scene: Scene, playback: Playback) -> str:
     instance("robot", robot, Robot, "load_robot")
     instance("scene", scene, Scene, "load_scene")
     trajectory = instance("playback", playback, Playback, "Playback.from_result").trajectory
+    check_trajectory_joints(trajectory, robot)
     moves = trajectory.samples > 1
     entries: list[tuple[str, Sequence[int]]] = [("Start", [START_COLOR]), ("Goal", [GOAL_COLOR])] if moves else []
     if moves and any(phase.name == "approach" for phase in playback.every_phase):

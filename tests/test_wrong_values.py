@@ -19,7 +19,7 @@ import hplan
 from hplan.apps.cli.job_folder import read_report
 from hplan.apps.execution.simulated_arm import Plant
 from hplan.apps.execution.simulation import RecordedMotion, execute, read_motion
-from hplan.apps.ros import read_moveit_scene, read_planning_scene
+from hplan.apps.ros import cloud_points, read_bag_cloud, read_moveit_scene, read_octomap, read_planning_scene
 from hplan.apps.view.page import write_page
 from hplan.apps.view.playback import Playback
 from hplan.base.checked import Options
@@ -436,6 +436,40 @@ CASES: dict[str, Case] = {
     "write_page": case(write_page, "path:path", playback=Playback(a_trajectory()), path="a.html"),
     "corner_grid": case(corner_grid, "path:object"),
     "read_planning_scene": case(read_planning_scene, "source:file", source={"world": {}}),
+    "PlanOptions of an unknown name": case(hplan.PlanOptions, bad={"efort": ("quick", None)}),
+    "read_octomap": case(
+        read_octomap,
+        "source:file name:name position:vector rpy_deg:vector depth:positive",
+        source="map.bt",
+        name="map",
+        position=(0.0, 0.0, 0.0),
+        rpy_deg=(0.0, 0.0, 0.0),
+        depth=16,
+    ),
+    "read_bag_cloud": case(
+        read_bag_cloud,
+        "radius:positive path:file name:name frame:name",
+        {"topic": NO_NAME[1:], "time_s": (*NO_NUMBER, -1.0), "rpy_deg": NO_VECTOR[1:-3]},
+        path="run.mcap",
+        radius=0.01,
+        name="c",
+        frame="base",
+    ),
+    "cloud_points": case(cloud_points, bad={"message": (None, {}, 1, "cloud", object())}, message=None),
+    "Planner.use": case(a_running_planner().use, "motion:object", motion=None),
+    "check of masked values": case(
+        hplan.check, bad={"q": (np.ma.masked_array(np.zeros((2, 4)), mask=np.eye(2, 4)),)}, q=[0.0] * 4
+    ),
+    "Trajectory of a joint twice": case(
+        hplan.Trajectory,
+        bad={"joint_names": (("a", "a"),)},
+        joint_names=("a", "b"),
+        time=[0.0],
+        position=[[0.0] * 2],
+        velocity=[[0.0] * 2],
+        acceleration=[[0.0] * 2],
+        torque=[[0.0] * 2],
+    ),
 }
 
 

@@ -115,6 +115,14 @@ def file_path(option: str, value: Any) -> Path:
     return Path(text)
 
 
+def folder_path(option: str, value: Any) -> Path:
+    """Return the path of an existing folder."""
+    path = file_path(option, value)
+    if not path.is_dir():
+        raise OptionError(option, str(path), "an existing folder")
+    return path
+
+
 def decimal(text: str) -> float | None:
     """Return the finite number in a text cell, or None; ignores blanks."""
     word = text.strip(" \t")

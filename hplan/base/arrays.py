@@ -43,12 +43,14 @@ def frozen(array: NDArray[_T]) -> NDArray[_T]:
 
 
 def as_array(values: Any) -> NDArray[Any]:
-    """Return `np.asarray(values)`.
+    """Return `np.asarray(values)`, with NaN for masked values.
 
     Raises:
         ValueError: `values` cannot become an array, for example rows of different lengths; any exception of the object.
     """
     try:
+        if isinstance(values, np.ma.MaskedArray) and np.ma.getmaskarray(values).any():
+            values = np.ma.filled(values.astype(np.float64), np.nan)
         return np.asarray(values)
     except Exception as error:
         raise ValueError(str(error)) from error

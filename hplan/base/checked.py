@@ -46,6 +46,19 @@ class Options:
         OptionError: A value is not of its field's type, or outside the field's range (`pydantic.Field`).
     """
 
+    def __new__(cls, *_: Any, **values: Any) -> Self:
+        """Refuse unknown options, which a dataclass refuses with an error of its own."""
+        cls._check_names(values)
+        return super().__new__(cls)
+
+    @classmethod
+    def _check_names(cls, values: Mapping[str, Any]) -> None:
+        kind: Any = cls
+        names = [field.name for field in dataclasses.fields(kind)]
+        for key, value in values.items():
+            if key not in names:
+                raise OptionError(key, value, f"an option of {cls.__name__}; {nearest_name(key, names)}")
+
     def __post_init__(self) -> None:
         kind: Any = type(self)
         values = {field.name: plain(getattr(self, field.name)) for field in dataclasses.fields(kind)}
@@ -74,11 +87,7 @@ class Options:
             >>> PlanOptions().with_values(speed=0.5).speed
             0.5
         """
-        kind: Any = type(self)
-        names = [field.name for field in dataclasses.fields(kind)]
-        for key, value in changes.items():
-            if key not in names:
-                raise OptionError(key, value, f"an option of {kind.__name__}; {nearest_name(key, names)}")
+        self._check_names(changes)
         copied: Self = dataclasses.replace(self, **changes)  # type: ignore[type-var]
         return copied
 

@@ -238,3 +238,17 @@ def prepare_folder(folder: Path) -> None:
         raise OutputError(folder, "it is a file, not a folder") from error
     except OSError as error:
         raise OutputError(folder, error.strerror or str(error)) from error
+
+
+@contextmanager
+def new_folder(path: Path) -> Iterator[None]:
+    """Create a folder (`prepare_folder`); remove it after an error if it is new and empty."""
+    is_new = not path.exists()
+    prepare_folder(path)
+    try:
+        yield
+    except BaseException:
+        if is_new:
+            with contextlib.suppress(OSError):  # it is not empty
+                path.rmdir()
+        raise

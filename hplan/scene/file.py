@@ -25,6 +25,7 @@ from hplan.scene.imports import import_suffixes
 from hplan.scene.limits import MOST_SCENE_BYTES, MOST_SHAPE_BYTES
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Mesh, PointCloud
+from hplan.scene.robot_source import RobotSource
 
 _Model = TypeVar("_Model", bound=StrictModel)
 
@@ -163,8 +164,9 @@ def dump_scene(scene: Scene) -> str:
             reason = f"{obstacle.name!r} was created from arrays and has no file; save_scene writes one"
             raise SceneError(reason, where=f"obstacles[{index}].file")
     content: dict[str, Any] = {"format": scene.format, "name": scene.name}
-    content |= {} if scene.robot is None else {"robot": scene.robot}
-    content |= _dump(scene, exclude={"start", "goal", "obstacles", "fruits"})
+    robot = scene.robot.to_file() if isinstance(scene.robot, RobotSource) else scene.robot
+    content |= {} if robot is None else {"robot": robot}
+    content |= _dump(scene.copy_unchecked({"robot": None}), exclude={"start", "goal", "obstacles", "fruits"})
     content |= {"start": _dump(scene.start), "goal": _dump(scene.goal)}
     for key, items in (("obstacles", scene.obstacles), ("fruits", scene.fruits)):
         content[key] = [
@@ -190,7 +192,7 @@ def save_scene(scene: Scene, path: Path | str) -> Path:
     """Write a scene file atomically, replacing an existing one.
 
     Meshes and point clouds made of arrays are written to its folder as `STEM-NUMBER-NAME.ply`. File names relative to
-    another folder are rewritten relative to this one.
+    another folder, also those of a robot's file, are rewritten relative to this one.
 
     Raises:
         OutputError: A file cannot be written.
@@ -205,31 +207,46 @@ def save_scene(scene: Scene, path: Path | str) -> Path:
         ...     load_scene(path) == scene
         True
     """
+    return stage_scene(scene, path, path)
+
+
+def stage_scene(scene: Scene, path: Path | str, final: Path | str) -> Path:
+    """Write a scene file as `save_scene` does, at a path that it is moved from.
+
+    Args:
+        final: Path of the scene file after the move: other files are named relative to its folder.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
     instance("scene", scene, Scene, "load_scene")
-    path = file_path("path", path)
+    path, final = file_path("path", path), file_path("path", final)
     shapes = {index: found for index, found in enumerate(scene.obstacles) if isinstance(found, Mesh | PointCloud)}
     taken = {shape.path for shape in shapes.values()}
     obstacles = [
-        _with_file(shapes[index], path, index, taken) if index in shapes else obstacle
+        _with_file(shapes[index], (path, final), index, taken) if index in shapes else obstacle
         for index, obstacle in enumerate(scene.obstacles)
     ]
-    return write_marked(path, dump_scene(scene.copy_unchecked({"obstacles": tuple(obstacles)})), YAML_COMMENT)
+    changes: dict[str, Any] = {"obstacles": tuple(obstacles)}
+    if isinstance(scene.robot, RobotSource):
+        changes["robot"] = scene.robot.as_seen_from(path.absolute().parent)
+    return write_marked(path, dump_scene(scene.copy_unchecked(changes)), YAML_COMMENT)
 
 
 def _with_file(
-    obstacle: Mesh | PointCloud, scene_path: Path, index: int, taken: Collection[Path | None]
+    obstacle: Mesh | PointCloud, scene_paths: tuple[Path, Path], index: int, taken: Collection[Path | None]
 ) -> Mesh | PointCloud:
-    """Return the obstacle with a file that a scene at `scene_path` finds.
+    """Return the obstacle with a file that a scene finds at the second path, written next to the first.
 
     A new file does not take the path of another obstacle (`taken`).
     """
-    folder = scene_path.absolute().parent
+    scene_path, folder = scene_paths[1], scene_paths[1].absolute().parent
     if obstacle.file is None:
         plain = "".join(sign if sign.isalnum() or sign in "-_." else "-" for sign in obstacle.name)
         stem = f"{cut(scene_path.stem)}-{index}-{cut(plain)}"
         others = (f"{stem}-{number}.ply" for number in itertools.count(2))
         file = next(name for name in itertools.chain([f"{stem}.ply"], others) if folder / name not in taken)
-        obstacle.write(folder / file)
+        obstacle.write(scene_paths[0].absolute().parent / file)
     else:
         file = obstacle.file
         if obstacle.path is not None and (folder / file).absolute() != obstacle.path:

@@ -49,6 +49,7 @@ def open_rows(path: Path | None, kind: type[_Row], job: str) -> Iterator[tuple[l
         yield [], lambda _: None
         return
     columns = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    is_new, kept = not path.exists(), 0
     with ExitStack() as stack:
         try:
             file = stack.enter_context(path.open("ab+"))
@@ -63,12 +64,19 @@ def open_rows(path: Path | None, kind: type[_Row], job: str) -> Iterator[tuple[l
             raise OutputError(path, error.strerror or str(error)) from error
 
         def keep(row: _Row) -> None:
+            nonlocal kept
+            kept += 1
             try:
                 _append(file, [_format_cell(getattr(row, name)) for name in columns])
             except OSError as error:
                 raise OutputError(path, error.strerror or str(error)) from error
 
-        yield _read_rows(path, kind, columns, job), keep
+        try:
+            yield _read_rows(path, kind, columns, job), keep
+        except BaseException:
+            if is_new and not kept:
+                path.unlink(missing_ok=True)
+            raise
 
 
 def _check_header(path: Path, file: BinaryIO, columns: Sequence[str], job: str) -> None:

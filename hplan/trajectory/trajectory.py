@@ -117,6 +117,9 @@ class Trajectory(Record):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joint_names", list_of("trajectory: joint_names", self.joint_names, str, "names"))
+        repeated = next((name for name in self.joint_names if self.joint_names.count(name) > 1), None)
+        if repeated is not None:
+            raise InputError(f"trajectory: joint_names has {repeated!r} twice, expected each joint once")
         time = numbers("trajectory: time", self.time, (None,))
         object.__setattr__(self, "time", time)
         if len(time) == 0 or time[0] != 0.0:

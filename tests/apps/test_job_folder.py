@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from small_tree import TREE
 
 import hplan
 from hplan.apps.cli.job_folder import JobFolder
@@ -154,6 +155,15 @@ def test_signal_that_is_ignored_stays_so(tmp_path: Path) -> None:
         ["certify", "out", "--report", "out/trajectory.csv"],
         ["view", "out", "--no-serve", "--out", "out/trajectory.csv"],
         ["orchard", "--import", "broken.yaml"],
+        ["view", "out/trajectory.csv", "--robot", "ur5", "--no-serve"],
+        ["plan", "--out", ""],
+        ["plan", "--robot", "harvester", "--package-dir", "missing"],
+        ["tour", "--fruits", "no such", "--out", "new"],
+        ["row", "tour", "--carried", "no such", "--out", "new"],
+        ["study", "study.yaml", "--workers", "0", "--out", "new"],
+        ["study", "study.yaml", "--workers", "1", "--out", "new"],
+        ["batch", "missing.yaml", "--out", "new.csv"],
+        ["batch", "table-1", "--jobs", "0", "--out", "new.csv"],
     ],
     ids=lambda words: " ".join(words)[:60],
 )
@@ -164,13 +174,16 @@ def test_invalid_or_unreadable_input_changes_no_file(
     shutil.copytree(done, "out")
     for name in ("out/tour.csv", "out/tour-01-apple.csv", "out/tour.json", "broken.yaml", "timed.csv", "orchard.yaml"):
         Path(name).write_text("{an earlier job's")
-    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    far = "name: far\narms: [orchard_harvester]\ntrees: [tree.csv]\ndistances: [1200]\n"
+    Path("study.yaml").write_text(far)
+    Path("tree.csv").write_text(TREE)
+    before = {path: path.is_file() and path.read_bytes() for path in tmp_path.rglob("*")}
     try:
         status = main(arguments)
     except SystemExit as ended:
         status = ended.code
     assert status == 2
-    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+    assert {path: path.is_file() and path.read_bytes() for path in tmp_path.rglob("*")} == before
 
 
 @pytest.mark.parametrize("later", ["report.json", "tour.json"])

@@ -207,7 +207,7 @@ def test_cloud_message_without_coordinates() -> None:
         name, offset, datatype = "x", 0, 2
 
     class Cloud:
-        is_bigendian, fields = False, (Field,)
+        is_bigendian, fields, width, height, point_step, row_step, data = False, (Field,), 1, 1, 1, 1, b"0"
 
     with pytest.raises(SceneError, match="fields x, y and z"):
         cloud_points(Cloud)

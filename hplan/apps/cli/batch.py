@@ -53,9 +53,12 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     """Plan, write the table and print a summary; return the exit status."""
     with progress_line(errors, quiet=arguments.quiet) as progress:
         progress("reading robot and scenes")
+        from hplan.base.arguments import check_integer
         from hplan.study.batch import run_batch
 
         options = plan_options(arguments, *OF_PLANS, "risk")
+        if arguments.jobs is not None:
+            check_integer("--jobs", arguments.jobs, 1)
         rows = run_batch(
             arguments.scenes,
             options,

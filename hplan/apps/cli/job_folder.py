@@ -31,8 +31,8 @@ from hplan.base.files import (
     ByteBudget,
     check_replaceable,
     inputs,
+    new_folder,
     note_input,
-    prepare_folder,
     write_text,
 )
 from hplan.base.interrupts import INTERRUPTS, defer_signals, signal_of
@@ -116,7 +116,10 @@ class JobFolder:
                 raise OptionError("--out", str(self.path), f"a folder other than that of {path}, which is an input")
         self._is_settled = False
         self._check_own()
-        prepare_folder(self.path)
+        with new_folder(self.path):
+            yield from self._run_job(scene, robot)
+
+    def _run_job(self, scene: str, robot: str) -> Iterator[None]:
         for staging in self.path.glob(f"{_STAGING}*"):  # left behind by killed processes
             number = staging.name.removeprefix(_STAGING)
             if number.isdecimal() and not _runs(int(number)):

@@ -20,6 +20,7 @@ COMMANDS = {
     "execute": "run a trajectory on a simulated arm",
     "orchard": "generate a scene with a row of fruit trees",
     "inspect": "list the faults of a robot file, its joints and touching links",
+    "gui": "move arm, goal and obstacles in a browser; plan and save",
     "view": "show the motion of an output folder, or a trajectory",
     "warmup": "compile all numerical kernels now",
     "completion": "print a shell completion script: hplan completion bash",

@@ -17,7 +17,7 @@ from hplan.apps.cli.options import OUT, add_shared, command_parser
 from hplan.apps.cli.own_files import STUDY_REPORT, WRITTEN, check_own, digests_of
 from hplan.apps.cli.terminal import escape, facts_table, number_table, percent, progress_line, unpicked_facts
 from hplan.base.arguments import instance
-from hplan.base.files import prepare_folder
+from hplan.base.files import new_folder
 from hplan.base.interrupts import INTERRUPTS, defer_signals, signal_of
 from hplan.base.lazy_import import extra
 from hplan.errors import InputError
@@ -55,7 +55,13 @@ def parser(prog: str) -> argparse.ArgumentParser:
     parser = command_parser(__doc__, _EPILOG, prog=prog)
     add = parser.add_argument
     add("study", type=Path, metavar="STUDY.yaml", help="study file: arms, trees and what to measure")
-    add("--out", type=Path, default=OUT, metavar="DIR", help="output folder; a study in it is resumed (default: out)")
+    add(
+        "--out",
+        type=Path,
+        default=OUT,
+        metavar="DIR",
+        help="output folder; a study in it is resumed (default: out)",
+    )
     add_shared(parser, "force")
     add(
         "--workers",
@@ -86,22 +92,22 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         out: Path = arguments.out
         for name in (STUDY_REPORT, FIGURE):
             check_own(out / name, force=arguments.force)
-        prepare_folder(out)
-        try:
-            result = run_study(
-                study,
-                out / ROWS,
-                executor=_executor(arguments.scheduler),
-                workers=arguments.workers,
-                progress=lambda done, of: progress(f"design {done} of {of}"),
-            )
-        except INTERRUPTS as error:
-            # Keep the rows written until now: the next run resumes with them.
-            with defer_signals():
-                (out / FIGURE).unlink(missing_ok=True)
-                ended = {"status": "interrupted", "study": study.name, "signal": signal_of(error).name}
-                write_report({**ended, "versions": versions()}, out / STUDY_REPORT)
-            raise
+        with new_folder(out):
+            try:
+                result = run_study(
+                    study,
+                    out / ROWS,
+                    executor=_executor(arguments.scheduler),
+                    workers=arguments.workers,
+                    progress=lambda done, of: progress(f"design {done} of {of}"),
+                )
+            except INTERRUPTS as error:
+                # Keep the rows written until now: the next run resumes with them.
+                with defer_signals():
+                    (out / FIGURE).unlink(missing_ok=True)
+                    ended = {"status": "interrupted", "study": study.name, "signal": signal_of(error).name}
+                    write_report({**ended, "versions": versions()}, out / STUDY_REPORT)
+                raise
         report = {"status": "ok", "study": study.name, "measured": result.measured, "seconds": result.seconds}
         with defer_signals():
             figure = write_figure(lambda: draw_study(result), out / FIGURE, errors)

@@ -44,7 +44,7 @@ DEFAULT_CSV = Path("timed.csv")
 _WITH_SCENE = (
     *("keep_path", "effort", "seed", "sigmas", "tracking_error", "tracking_error_m", "tracking_delay", "deadline_ms"),
     *("poses", "free", "tilt", "tool_frame", "srdf", "allow_neighbours", "package_dir", "xacro"),
-    *("collision_from_visual", "acceleration_scale"),
+    *("collision_from_visual", "acceleration_scale", "tool_tube_m"),
 )
 _WITHOUT_SCENE = ("acceleration", "no_torque", "joints")
 
@@ -167,7 +167,7 @@ def _finish_and_write(
             from hplan.planning.finish import finish
             from hplan.planning.pose_sequence import plan_poses, pose_matrices
             from hplan.planning.report import curve_report, write_report
-            from hplan.scene.file import load_scene, save_scene
+            from hplan.scene.file import load_scene, stage_scene
             from hplan.trajectory import read_waypoints
         options = plan_options(arguments, "effort", "sigmas")
         scene = load_scene(arguments.scene)
@@ -190,7 +190,7 @@ def _finish_and_write(
             status("writing files")
             with folder.stage_files() as staging:
                 files = write_result(result, {TRAJECTORY: result.trajectory}, staging)
-                save_scene(result.scene, folder.path / SCENE)  # not in staging: it may name files by relative paths
+                stage_scene(result.scene, staging / SCENE, folder.path / SCENE)
                 write_report(result.report | curve_report(result.certificate), staging / REPORT)
     return result, [TRAJECTORY, REPORT, *files, SCENE]
 

@@ -12,17 +12,20 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.apps.ros.moveit_scene import planning_frame, pose
-from hplan.base.arguments import check_between, file_path, text
+from hplan.base.arguments import file_path, number, text
 from hplan.base.arrays import FloatArray
 from hplan.base.files import note_input
 from hplan.base.lazy_import import extra
-from hplan.errors import SceneError
+from hplan.errors import OptionError, SceneError
 from hplan.scene.limits import Vector
 from hplan.scene.obstacles import PointCloud
 
 #: Type of clouds and of transforms, in ROS 1 and 2.
 _CLOUD: Final = "sensor_msgs/msg/PointCloud2"
 _TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
+
+#: Attributes of a cloud message.
+_CLOUD_FIELDS: Final = ("is_bigendian", "fields", "width", "height", "point_step", "row_step", "data")
 
 #: Formats of the coordinates by `PointField.datatype`.
 _FORMATS: Final = {7: "f4", 8: "f8"}
@@ -36,7 +39,12 @@ def cloud_points(message: Any) -> FloatArray:
 
     Raises:
         SceneError: The message has no float fields x, y and z, or its data do not fit its size.
+        OptionError: It lacks an attribute.
     """
+    missing = [name for name in _CLOUD_FIELDS if not hasattr(message, name)]
+    if missing:
+        expected = f"a PointCloud2 with attributes {', '.join(_CLOUD_FIELDS)}"
+        raise OptionError("message", message, f"{expected}; {', '.join(missing)} is missing")
     order = ">" if message.is_bigendian else "<"
     fields = {field.name: (field.offset, _FORMATS.get(field.datatype)) for field in message.fields}
     missing = [axis for axis in "xyz" if fields.get(axis, (0, None))[1] is None]
@@ -84,9 +92,14 @@ def read_bag_cloud(
         InputError: rosbags is not installed.
     """
     path = file_path("path", path)
-    check_between("time_s", time_s, 0.0, 1e9)
+    number("radius", radius, "a number of metres > 0", lambda value: value > 0.0)
+    number("time_s", time_s, "a number of seconds >= 0", lambda value: value >= 0.0)
+    text("name", name, "the name of the obstacle")
     text("frame", frame, "the frame of the base")
-    given = planning_frame(position or (0.0, 0.0, 0.0), rpy_deg or (0.0, 0.0, 0.0), name, "refuse")
+    if topic is not None:
+        text("topic", topic, "the name of a topic")
+    here = (0.0, 0.0, 0.0)
+    given = planning_frame(here if position is None else position, here if rpy_deg is None else rpy_deg, name, "refuse")
     with _open_bag(path) as bag:
         cloud = _find_cloud(bag, path, topic, time_s)
         points = cloud_points(cloud)
@@ -117,7 +130,8 @@ def _open_bag(path: Path) -> Iterator[Any]:
     except SceneError:
         raise
     except FileNotFoundError as error:
-        raise SceneError("No such file or directory", path=path) from error
+        reason = "it is not the folder of a bag" if path.is_dir() else "No such file or directory"
+        raise SceneError(reason, path=path) from error
     except Exception as error:  # the readers of the formats raise errors of many kinds
         raise SceneError(f"the bag cannot be read: {error}", path=path) from error
 

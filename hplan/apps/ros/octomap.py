@@ -23,7 +23,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.apps.ros.moveit_scene import planning_frame, shape
-from hplan.base.arguments import check_integer, file_path
+from hplan.base.arguments import check_integer, file_path, text
 from hplan.base.arrays import IntArray
 from hplan.base.files import ByteBudget
 from hplan.errors import SceneError
@@ -67,6 +67,7 @@ def read_octomap(
         ([-3276.75, -3276.75, -3276.75], (0.1, 0.1, 0.1))
     """
     check_integer("depth", depth, 1, _DEPTH)
+    text("name", name, "the prefix of the names")
     base = planning_frame(position, rpy_deg, name, "refuse")
     path = None if isinstance(source, Mapping) else file_path("source", source)
     if isinstance(source, Mapping):
@@ -103,7 +104,8 @@ def _fields(message: Mapping[str, Any]) -> tuple[str, bool, float, bytes]:
         raise SceneError(f"expected numbers, got {data!r}: print the message with --full-length", where="data")
     try:
         content = bytes(data) if isinstance(data, bytes | bytearray) else np.asarray(data).astype(np.int8).tobytes()
-        return str(message["id"]), bool(message["binary"]), float(message["resolution"]), content
+        kind, is_binary, edge_m = (message[key] for key in ("id", "binary", "resolution"))
+        return str(kind), bool(is_binary), float(edge_m), content
     except KeyError as error:
         raise SceneError("this key is missing", where=str(error.args[0])) from error
     except (TypeError, ValueError) as error:

@@ -9,8 +9,7 @@ the arm (`pinocchio.visualize.ViserVisualizer`).
 from __future__ import annotations
 
 import time
-from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import pinocchio as pin
@@ -22,14 +21,14 @@ from hplan.base.arguments import check_integer, instance, number
 from hplan.base.arrays import numbers
 from hplan.base.lazy_import import extra
 from hplan.robot.model import Robot
-from hplan.scene.model import Scene
-from hplan.scene.obstacles import PointCloud
+from hplan.scene.model import Fruit, Scene
+from hplan.scene.obstacles import AnyObstacle, PointCloud
 
 if TYPE_CHECKING:
     from hplan.apps.view.playback import Shown
 
 
-class LiveScene(AbstractContextManager["LiveScene"]):
+class LiveScene:
     """A viser server with an arm and a scene.
 
     `close`, or the end of a `with` block, stops the server.
@@ -82,18 +81,23 @@ class LiveScene(AbstractContextManager["LiveScene"]):
         still, draw = scene.snapshot(number("time_s", time_s, "a time in seconds")), self.server.scene
         draw.remove_by_name("/scene")  # and all nodes below it
         draw.add_frame("/scene", show_axes=False)
-        for item in still.obstacles:
-            look, name = scenery.look_of(item.name), f"/scene/{item.name.replace('/', ' ')}"
-            color = tuple(look.color.to_bytes(3))
-            if isinstance(item, PointCloud):
-                points = np.concatenate([solid.core for solid in item.solids])
-                size = 2.0 * max(solid.rounding for solid in item.solids)
-                draw.add_point_cloud(name, points, color, point_size=size, point_shape="circle")
-            else:
-                draw.add_mesh_simple(name, *item.surface, color=color, opacity=look.opacity, flat_shading=True)
-        for fruit in still.fruits:
-            name = f"/scene/{fruit.name.replace('/', ' ')}"
-            draw.add_icosphere(name, radius=fruit.radius, color=(215, 38, 61), position=fruit.center)
+        for item in (*still.obstacles, *still.fruits):
+            self.draw_item(item)
+
+    def draw_item(self, item: AnyObstacle | Fruit) -> None:
+        """Draw an obstacle or a fruit in place of the one of the same name."""
+        draw, name = self.server.scene, f"/scene/{item.name.replace('/', ' ')}"
+        if isinstance(item, Fruit):
+            draw.add_icosphere(name, radius=item.radius, color=(215, 38, 61), position=item.center)
+            return
+        look = scenery.look_of(item.name)
+        color = tuple(look.color.to_bytes(3))
+        if isinstance(item, PointCloud):
+            points = np.concatenate([solid.core for solid in item.solids])
+            size = 2.0 * max(solid.rounding for solid in item.solids)
+            draw.add_point_cloud(name, points, color, point_size=size, point_shape="circle")
+        else:
+            draw.add_mesh_simple(name, *item.surface, color=color, opacity=look.opacity, flat_shading=True)
 
     def show(self, q: ArrayLike) -> None:
         """Show the arm at a (dof,) configuration, without checking joint limits.
@@ -124,6 +128,9 @@ class LiveScene(AbstractContextManager["LiveScene"]):
     def close(self) -> None:
         """Stop the server."""
         self.server.stop()
+
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -19,7 +19,17 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from hplan.base.arguments import check_each, file_path, folder_path, instance, list_of, nearest_name, number, truth
+from hplan.base.arguments import (
+    check_between,
+    check_each,
+    file_path,
+    folder_path,
+    instance,
+    list_of,
+    nearest_name,
+    number,
+    truth,
+)
 from hplan.base.arrays import BoolArray, FloatArray, Record, as_array, numbers, readonly
 from hplan.base.files import is_file
 from hplan.base.units import FARTHEST_JOINT, NAME_UNITS, JointUnit, joint_unit
@@ -37,9 +47,11 @@ from hplan.robot.files import build_models, filtered_links, neighbouring_links, 
 from hplan.robot.limits_file import default_limits, find_limits, limits_file
 from hplan.robot.mesh_files import MeshFinder
 from hplan.robot.tool_axis import find_tool_axis
+from hplan.robot.tool_tube import add_tool_tube
 from hplan.robot.urdf_adaptation import AdaptedUrdf, RobotChoice, adapt_urdf
 from hplan.robot.urdf_check import check_joints, frame_number
 from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, read_urdf_xml
+from hplan.scene.robot_source import RobotSource
 
 if TYPE_CHECKING:
     from hplan.scene.model import JointValues, Start
@@ -437,10 +449,11 @@ def made_once(make: Callable[Concatenate[Robot, _P], _T]) -> Callable[Concatenat
 
 
 def load_robot(
-    path: Path | str | None = None,
+    path: Path | str | RobotSource | None = None,
     *,
     limits: Path | str | None = None,
     tool_frame: str | None = None,
+    tool_tube_m: float | None = None,
     joints: Sequence[str] | None = None,
     hold: Mapping[str, float] | None = None,
     package_dirs: Sequence[Path | str] = (),
@@ -458,12 +471,15 @@ def load_robot(
         path: URDF or xacro file, or the URDF text itself (begins with `<`); None for the harvester that ships with
             hplan. A name without suffix and folder that is not a file selects a robot that ships with hplan,
             `load_robot("orchard_harvester")`, or one of example-robot-data (extra `robots`): `panda`, `ur3`, `ur5`,
-            `ur10`.
+            `ur10`. A `RobotSource`, as `scene.robot`, is a file with values for the following arguments; those that are
+            given have priority.
         limits: Limits YAML, or the name of a robot whose limits ship with hplan, for example `ur5`; None for
             `NAME.limits.yaml` in the URDF's folder or, without that file, for acceleration and jerk in the URDF (1.2).
             Velocities and efforts in it take the place of the URDF's. MoveIt's `joint_limits.yaml` is read as well.
         tool_frame: Frame at the end of the arm; None for the default of a robot loaded by name, else for `tool0` or,
             without it, for the only frame without a body at the end of the arm.
+        tool_tube_m: Length of a picking tube that is added at the tool frame, along the tool axis; the tool frame moves
+            to its mouth, `tool_tube_end` [m]. None for none.
         joints: Names of the moving joints in the robot's order, from the base on; None for all revolute, continuous and
             prismatic joints up to the tool frame that are not held.
         hold: Values of held joints [rad, m]. Other joints that do not move are held at 0, at the limit nearest to 0, or
@@ -497,6 +513,7 @@ def load_robot(
         path,
         limits=limits,
         tool_frame=tool_frame,
+        tool_tube_m=tool_tube_m,
         joints=joints,
         hold=hold,
         package_dirs=package_dirs,
@@ -520,7 +537,7 @@ def load_robot(
     return robot
 
 
-def read_robot(path: Path | str | None, **options: Any) -> Robot:
+def read_robot(path: Path | str | RobotSource | None, **options: Any) -> Robot:
     """Load a robot like `load_robot` but without warnings; for reloading.
 
     Raises:
@@ -529,11 +546,20 @@ def read_robot(path: Path | str | None, **options: Any) -> Robot:
     return _read_robot(path, **options)[0]
 
 
-def _read_robot(
+def _read_robot(path: Path | str | RobotSource | None, **options: Any) -> tuple[Robot, AdaptedUrdf]:
+    """Return the robot of `load_robot`, and its URDF."""
+    if isinstance(path, RobotSource):
+        given = {name: value for name, value in options.items() if value not in (None, False, (), [], {})}
+        options, path = path.options | given, path.urdf
+    return _read_file(path, **options)
+
+
+def _read_file(
     path: Path | str | None,
     *,
     limits: Path | str | None = None,
     tool_frame: str | None = None,
+    tool_tube_m: float | None = None,
     joints: Sequence[str] | None = None,
     hold: Mapping[str, float] | None = None,
     package_dirs: Sequence[Path | str] = (),
@@ -561,6 +587,8 @@ def _read_robot(
         limits=given if given is not None or files.urdf == URDF_TEXT else _find_existing(default_limits(files.urdf)),
         guesses_tool=tool_frame is None,
         xacro_args={name: str(value) for name, value in _read_hold("xacro_args", xacro_args, "{name: value}").items()},
+        # Beyond these lengths a tube is a slip of units [m].
+        tool_tube_m=None if tool_tube_m is None else check_between("tool_tube_m", tool_tube_m, 0.01, 2.0),
     )
     text = path if isinstance(path, str) and is_urdf_text(path) else None
     urdf_path = files.urdf
@@ -639,6 +667,8 @@ def _build_models(
         if not missing:
             raise
         return _build_models(urdf_path, text, replace(choice, from_visual=missing))
+    if choice.tool_tube_m is not None:
+        adapted = add_tool_tube(urdf_path, root, adapted, choice.tool_tube_m)
     try:
         return choice, root, adapted, build_models(urdf_path, adapted.urdf, adapted.text)
     except RobotFileError as error:

@@ -57,6 +57,7 @@ class RobotChoice(Record):
         xacro_args: Values of the arguments of a xacro file, by name.
         repairs: Whether faults that have an obvious remedy are mended.
         guesses_tool: Whether another frame is taken if `tool_frame` is missing and there is one candidate.
+        tool_tube_m: Length of a picking tube at the tool frame [m]; None for none.
     """
 
     tool_frame: str = "tool0"
@@ -69,6 +70,7 @@ class RobotChoice(Record):
     xacro_args: Mapping[str, str] | None = None
     repairs: bool = False
     guesses_tool: bool = False
+    tool_tube_m: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

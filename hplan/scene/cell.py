@@ -16,6 +16,7 @@ from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Vector
 from hplan.scene.model import FORMAT, Fruit, Goal, Scene, Start
 from hplan.scene.obstacle_kind import Name
 from hplan.scene.obstacles import Obstacle
+from hplan.scene.robot_source import RobotSource
 
 #: Maximum number of robots of a workcell.
 MOST_ROBOTS = 16
@@ -29,7 +30,8 @@ class CellRobot(StrictModel):
 
     Attributes:
         name: Name in the workcell, prefix of its joint and link names.
-        robot: Name of a robot, or a URDF next to the scene file, for `load_robot`; None for the harvester.
+        robot: Name of a robot, or a URDF next to the scene file, for `load_robot`, alone or with options; None for the
+            harvester.
         limits: Limits file, or name of a robot, for `load_robot`; None for the default limits.
         tool_frame: Frame at the end of the arm, for `load_robot`; None for the default frame.
         hold: Values of fixed joints [rad, m].
@@ -44,7 +46,7 @@ class CellRobot(StrictModel):
     """
 
     name: Name
-    robot: str | None = None
+    robot: str | RobotSource | None = None
     limits: str | None = None
     tool_frame: Name | None = None
     hold: Mapping[str, float] = {}

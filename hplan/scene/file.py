@@ -25,6 +25,7 @@ from hplan.scene.imports import import_suffixes
 from hplan.scene.limits import MOST_SCENE_BYTES, MOST_SHAPE_BYTES
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Mesh, PointCloud
+from hplan.scene.robot_source import RobotSource
 
 _Model = TypeVar("_Model", bound=StrictModel)
 
@@ -163,8 +164,9 @@ def dump_scene(scene: Scene) -> str:
             reason = f"{obstacle.name!r} was created from arrays and has no file; save_scene writes one"
             raise SceneError(reason, where=f"obstacles[{index}].file")
     content: dict[str, Any] = {"format": scene.format, "name": scene.name}
-    content |= {} if scene.robot is None else {"robot": scene.robot}
-    content |= _dump(scene, exclude={"start", "goal", "obstacles", "fruits"})
+    robot = scene.robot.to_file() if isinstance(scene.robot, RobotSource) else scene.robot
+    content |= {} if robot is None else {"robot": robot}
+    content |= _dump(scene.copy_unchecked({"robot": None}), exclude={"start", "goal", "obstacles", "fruits"})
     content |= {"start": _dump(scene.start), "goal": _dump(scene.goal)}
     for key, items in (("obstacles", scene.obstacles), ("fruits", scene.fruits)):
         content[key] = [
@@ -190,7 +192,7 @@ def save_scene(scene: Scene, path: Path | str) -> Path:
     """Write a scene file atomically, replacing an existing one.
 
     Meshes and point clouds made of arrays are written to its folder as `STEM-NUMBER-NAME.ply`. File names relative to
-    another folder are rewritten relative to this one.
+    another folder, also those of a robot's file, are rewritten relative to this one.
 
     Raises:
         OutputError: A file cannot be written.
@@ -225,7 +227,10 @@ def stage_scene(scene: Scene, path: Path | str, final: Path | str) -> Path:
         _with_file(shapes[index], (path, final), index, taken) if index in shapes else obstacle
         for index, obstacle in enumerate(scene.obstacles)
     ]
-    return write_marked(path, dump_scene(scene.copy_unchecked({"obstacles": tuple(obstacles)})), YAML_COMMENT)
+    changes: dict[str, Any] = {"obstacles": tuple(obstacles)}
+    if isinstance(scene.robot, RobotSource):
+        changes["robot"] = scene.robot.as_seen_from(path.absolute().parent)
+    return write_marked(path, dump_scene(scene.copy_unchecked(changes)), YAML_COMMENT)
 
 
 def _with_file(

@@ -15,12 +15,11 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from hplan.base.arguments import instance, list_of, number
 from hplan.base.arrays import FloatArray, numbers
 from hplan.base.checked import StrictModel, check_values, fault
-from hplan.base.data_files import robot_names
 from hplan.errors import MovingObstacleError, SceneError
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.hull import Hull
@@ -38,6 +37,7 @@ from hplan.scene.obstacle_kind import (
     turned_covariance,
 )
 from hplan.scene.obstacles import AnyObstacle, Obstacle, Solid, Sphere
+from hplan.scene.robot_source import RobotField
 from hplan.scene.tracks import Movement
 
 #: Format of scene files, the value of their key `format`.
@@ -257,8 +257,9 @@ class Scene(StrictModel):
 
     Attributes:
         name: Name of the scene.
-        robot: Name of the intended robot, for `load_robot`; None for the default robot. Commands use it unless another
-            robot is given, as `load_robot(scene.robot)` does. It is not part of the plan or the certificate.
+        robot: The intended robot, for `load_robot`: its name, or its file with options (`RobotSource`; the path of a
+            file alone is one without options); None for the default robot. Commands use it unless another robot is
+            given, as `load_robot(scene.robot)` does. It is not part of the plan or the certificate.
         start: Start configuration, with velocity and acceleration.
         goal: Goal configuration, tool position, fruit or pose.
         locked_joints: Joints that keep their start value.
@@ -286,7 +287,7 @@ class Scene(StrictModel):
 
     format: Literal["hplan-scene/1"] = FORMAT
     name: Name
-    robot: Annotated[str | None, Field(exclude=True)] = None  # not in the digest: the robot has its own
+    robot: Annotated[RobotField, Field(exclude=True)] = None  # not in the digest: the robot has its own
     start: Start
     goal: Goal
     locked_joints: tuple[str, ...] = ()
@@ -296,13 +297,6 @@ class Scene(StrictModel):
     base_track: TrackField = None
     covariance: CovarianceField = None
     yield_links: Annotated[tuple[Name, ...] | None, Field(exclude=True)] = None
-
-    @field_validator("robot")
-    @classmethod
-    def _robot_ships(cls, robot: str | None) -> str | None:
-        if robot is not None and robot not in robot_names():
-            raise ValueError(f"hplan has no robot with this name; there are {', '.join(robot_names())}")
-        return robot
 
     @model_validator(mode="after")
     def _names_are_unique(self) -> Scene:

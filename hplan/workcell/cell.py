@@ -756,7 +756,7 @@ def _base_placement(arm: CellRobot) -> pin.SE3:
 
 def _load_arm(arm: CellRobot, folder: Path) -> Robot:
     """Load the robot that a scene names."""
-    beside = None if arm.robot is None else folder / arm.robot
+    beside = folder / arm.robot if isinstance(arm.robot, str) else None
     limits = None if arm.limits is None else folder / arm.limits
     return load_robot(
         beside if beside is not None and beside.is_file() else arm.robot,

@@ -84,7 +84,7 @@ def test_fruit_in_the_base_is_left_out(
     ("options", "message"),
     [
         ("--seed -1", "seed = -1"),
-        ("--robot orchard", "robot = 'orchard': expected one of harvester, orchard_harvester"),
+        ("--robot orchard", "robot file orchard: No such file or directory; robots that ship with hplan: harvester"),
         ("--fruits 1000", "for which there was room in the zone"),
         ("--shipped orchid", "--shipped = 'orchid': expected one of orchard-row"),
         ("--shipped tour --seed 0", "--seed = 0: expected no value together with --shipped"),

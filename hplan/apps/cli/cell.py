@@ -54,6 +54,7 @@ _OF_ONE_ROBOT = (
         "package_dir",
         "xacro",
         "acceleration_scale",
+        "tool_tube_m",
         "allow_neighbours",
         "drop_inside",
         "yield_links",

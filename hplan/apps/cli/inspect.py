@@ -15,8 +15,7 @@ from hplan.apps.cli.options import (
     add_shared,
     check_output_file,
     command_parser,
-    from_visual,
-    held_joints,
+    robot_options,
     xacro_arguments,
 )
 from hplan.errors import InputError
@@ -72,14 +71,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     options: dict[str, Any] = {"package_dirs": folders, "xacro_args": xacro_args}
     found = inspect_robot(
         arguments.robot,
-        tool_frame=arguments.tool_frame,
-        limits=arguments.limits,
-        acceleration_scale=arguments.acceleration_scale,
-        hold=held_joints(arguments),
-        srdf=arguments.srdf,
-        allow_neighbours=arguments.allow_neighbours,
-        collision_from_visual=from_visual(arguments),
-        **options,
+        **robot_options(arguments),
     )
     if not arguments.quiet:
         _show_findings(console, found)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import hplan
 from hplan.apps.cli.own_files import check_own
-from hplan.base.files import inputs, is_folder
+from hplan.base.files import inputs, is_file, is_folder
 from hplan.errors import OptionError, OutputError
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from hplan.robot.model import Robot
     from hplan.robot.tracking import TrackingModel
     from hplan.scene.model import Scene
+    from hplan.scene.robot_source import RobotSource
 
 
 #: Default output folder.
@@ -95,6 +96,8 @@ _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
         {"nargs": "+", "action": "extend", "default": [], "metavar": "NAME=RAD"}),
     ("parts", "--tool-frame", "frame at the end of the arm (default: tool0, or the named robot's)",
         {"metavar": "NAME"}),
+    ("parts", "--tool-tube", "add a picking tube of this length in metres at the tool frame, whose mouth becomes the "
+        "tool frame", {"dest": "tool_tube_m", "type": float, "metavar": "M"}),
     ("parts", "--srdf", "SRDF file with the pairs of links that may touch",
         {"type": Path, "metavar": "FILE"}),
     ("parts", "--allow-neighbours", "let links touch that have one joint between them", {"action": "store_true"}),
@@ -261,24 +264,52 @@ def robot_of(arguments: argparse.Namespace, scene: Scene | None = None, job: Fin
     """
     from hplan.robot.model import load_robot
 
-    hold = held_joints(arguments)
+    options = robot_options(arguments)
     path = scene.robot if arguments.robot is None and scene is not None else arguments.robot
     if path is None and job is not None:
         path = job.robot
-    robot = load_robot(
-        path,
-        limits=arguments.limits,
-        tool_frame=arguments.tool_frame,
-        hold=hold,
-        package_dirs=arguments.package_dir,
-        srdf=arguments.srdf,
-        allow_neighbours=arguments.allow_neighbours,
-        collision_from_visual=from_visual(arguments),
-        xacro_args=xacro_arguments(arguments),
-        acceleration_scale=arguments.acceleration_scale,
-    )
+    robot = load_robot(path, **options)
     check_tracking(arguments, robot)
     return robot
+
+
+def robot_options(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Arguments of `load_robot`, beside the path, from the options `parts` and `--limits`.
+
+    Raises:
+        OptionError: A value of `--hold` or `--xacro` is malformed.
+    """
+    return {
+        "limits": arguments.limits,
+        "tool_frame": arguments.tool_frame,
+        "tool_tube_m": arguments.tool_tube_m,
+        "hold": held_joints(arguments),
+        "package_dirs": arguments.package_dir,
+        "srdf": arguments.srdf,
+        "allow_neighbours": arguments.allow_neighbours,
+        "collision_from_visual": from_visual(arguments),
+        "xacro_args": xacro_arguments(arguments),
+        "acceleration_scale": arguments.acceleration_scale,
+    }
+
+
+def source_of(arguments: argparse.Namespace) -> str | RobotSource | None:
+    """Robot of the arguments, as a scene names it; None for the default one.
+
+    Raises:
+        SceneError: An option cannot be part of a scene.
+    """
+    from hplan.base.data_files import robot_names
+    from hplan.scene.robot_source import RobotSource
+
+    path = None if arguments.robot is None else str(arguments.robot)
+    given = {name: value for name, value in robot_options(arguments).items() if value}
+    if not given and (path is None or (path in robot_names() and not is_file(arguments.robot))):
+        return path
+    given |= {name: str(given[name]) for name in ("limits", "srdf") if name in given}
+    if "package_dirs" in given:
+        given["package_dirs"] = tuple(map(str, given["package_dirs"]))
+    return RobotSource(urdf=path or "harvester", **given)
 
 
 def tracking_of(arguments: argparse.Namespace) -> TrackingModel:

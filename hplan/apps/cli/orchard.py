@@ -7,16 +7,18 @@ goal by default.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hplan.apps.cli.options import add_shared, check_output_file, command_parser, refuse
-from hplan.apps.cli.terminal import escape, facts_table
+from hplan.apps.cli.options import add_shared, check_output_file, command_parser, refuse, robot_of, source_of
+from hplan.apps.cli.terminal import escape, facts_table, progress_line
 from hplan.errors import OptionError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from hplan.robot.model import Robot
     from hplan.scene.model import Scene
     from hplan.scene.orchard import FruitZone
 
@@ -34,11 +36,17 @@ exit status:
 
 #: Destinations of the options of both kinds of tree rows, of generated rows only, and of measured rows only.
 _COMMON = (
-    *("robot", "seed", "distance", "spacing", "clearance", "fruits", "fruit_radius", "goal"),
+    *("seed", "distance", "spacing", "height", "clearance", "fruits", "fruit_radius", "goal"),
     *("wood_yields", "yields_below", "fruit_yields", "hangs_within"),
 )
 _GROWN = ("form", "trees", "branches", "shoots", "tree_height", "branch_length", "vehicle", "ground")
-_MEASURED = ("turn", "height")
+_MEASURED = ("turn",)
+
+#: Destinations of the options of the robot.
+_ROBOT = (
+    *("robot", "limits", "hold", "tool_frame", "tool_tube_m", "srdf", "allow_neighbours", "package_dir", "xacro"),
+    *("acceleration_scale", "collision_from_visual"),
+)
 
 
 def parser(prog: str) -> argparse.ArgumentParser:
@@ -63,10 +71,21 @@ def parser(prog: str) -> argparse.ArgumentParser:
     )
     add_shared(parser, "force")
     add("--name", help="name of the scene (default: the file's)")
-    add("--robot", metavar="NAME", help="shipped robot that the scene is for (default: harvester)")
+    add_shared(parser, "robot", "parts")
     add("--seed", type=int, metavar="N", help="random seed (default: 0)")
-    add("--distance", type=float, metavar="M", help="distance from the base's axis to the row in metres (default: 1.4)")
+    add(
+        "--distance",
+        type=float,
+        metavar="M",
+        help="distance from the base's axis to the row in metres (default: 1.4, or as fits an arm of your own)",
+    )
     add("--spacing", type=float, metavar="M", help="distance between trees in metres (default: 1.1)")
+    add(
+        "--height",
+        type=float,
+        metavar="M",
+        help="height of the trees' feet above the robot's base in metres (default: 0)",
+    )
     add("--clearance", type=float, metavar="M", help="minimum clearance of motions in metres (default: 0)")
     add(
         "--fruits",
@@ -106,7 +125,8 @@ def parser(prog: str) -> argparse.ArgumentParser:
         type=float,
         nargs="+",
         metavar="DEG",
-        help="joint positions at the start in degrees (default: the tucked harvester)",
+        help="joint positions at the start in degrees (default: the tucked harvester; for an arm of your own, one "
+        "found beside the trees)",
     )
     add("--quiet", action="store_true", help="print no summary")
     grown = parser.add_argument_group("grown trees").add_argument
@@ -119,31 +139,29 @@ def parser(prog: str) -> argparse.ArgumentParser:
     grown("--vehicle", action="store_true", default=None, help="add the body of a vehicle behind the arm")
     grown("--ground", action="store_true", default=None, help="add the ground")
     measured = parser.add_argument_group("measured trees").add_argument
-    measured(
-        "--height",
-        type=float,
-        metavar="M",
-        help="height of the trees' feet above the robot's base in metres (default: 0)",
-    )
     measured("--turn", type=float, metavar="DEG", help="rotation of every tree about its trunk in degrees (default: 0)")
     return parser
 
 
-def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
+def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Generate and write the scene, print a summary; return the exit status."""
     from hplan.scene.file import save_scene
 
     out: Path = arguments.out
-    scene = _generate_scene(arguments, console)
+    with progress_line(errors, quiet=arguments.quiet) as progress:
+        scene, pickable = make_scene(arguments, console, progress)
     check_output_file(out, force=arguments.force)
     save_scene(scene, out)
     if not arguments.quiet:
-        _show_orchard(console, scene, out)
+        _show_orchard(console, scene, out, pickable)
     return 0
 
 
-def _generate_scene(arguments: argparse.Namespace, console: Console) -> Scene:
-    """Generate the scene of the arguments."""
+def make_scene(
+    arguments: argparse.Namespace, console: Console, progress: Callable[[str], None]
+) -> tuple[Scene, int | None]:
+    """Generate the scene of the arguments; with the number of fruits that can be picked, for an arm of one's own."""
+    from hplan.base.data_files import shipped_robots
     from hplan.scene.orchard import SHIPPED, FruitZone, MeasuredOptions, OrchardOptions, generate, measured_orchard
     from hplan.scene.orchard.options import REACHED
 
@@ -151,29 +169,67 @@ def _generate_scene(arguments: argparse.Namespace, console: Console) -> Scene:
     if arguments.shipped is not None:
         if arguments.shipped not in SHIPPED:
             raise OptionError("--shipped", arguments.shipped, f"one of {', '.join(SHIPPED)}")
-        others = ("name", *_COMMON, "fruit_heights", "fruit_reach", *_GROWN, *_MEASURED)
+        others = ("name", *_ROBOT, *_COMMON, "fruit_heights", "fruit_reach", *_GROWN, *_MEASURED)
         refuse(arguments, others, "no value together with --shipped")
-        return generate(SHIPPED[arguments.shipped], **start)
+        return generate(SHIPPED[arguments.shipped], **start), None
     wanted = {option: getattr(arguments, option) for option in _COMMON}
     wanted["name"] = arguments.out.stem if arguments.name is None else arguments.name
     if arguments.files:
         refuse(arguments, _GROWN, "no value together with --import")
-        wanted |= {"yaw_deg": arguments.turn, "height": arguments.height}
+        wanted |= {"yaw_deg": arguments.turn}
+    else:
+        refuse(arguments, _MEASURED, "no value without --import, as it is for measured trees")
+        wanted |= {option: getattr(arguments, option) for option in _GROWN}
+    wanted["robot"] = source_of(arguments)
+    wanted = _drop_unset(wanted)
+    if wanted.get("robot", "harvester") not in shipped_robots():
+        return _fit_scene(arguments, wanted, console, progress)
+    if arguments.files:
         if arguments.fruit_heights is not None or arguments.fruit_reach is not None:
             wanted["fruit_zone"] = _zone(arguments, FruitZone())
-        return _beside_base(measured_orchard(arguments.files, MeasuredOptions(**_drop_unset(wanted)), **start), console)
-    refuse(arguments, _MEASURED, "no value without --import, as it is for measured trees")
-    wanted |= {option: getattr(arguments, option) for option in _GROWN}
-    wanted["fruit_zone"] = _zone(arguments, REACHED.get(arguments.robot, OrchardOptions.fruit_zone))
-    return generate(OrchardOptions(**_drop_unset(wanted)), **start)
+        scene = measured_orchard(arguments.files, MeasuredOptions(**wanted), **start)
+        return _beside_base(scene, robot_of(arguments), console), None
+    wanted["fruit_zone"] = _zone(arguments, REACHED.get(str(arguments.robot), OrchardOptions.fruit_zone))
+    return generate(OrchardOptions(**wanted), **start), None
 
 
-def _beside_base(scene: Scene, console: Console) -> Scene:
+def _fit_scene(
+    arguments: argparse.Namespace, wanted: dict[str, Any], console: Console, progress: Callable[[str], None]
+) -> tuple[Scene, int]:
+    """Generate trees that fit the workspace of any arm."""
+    progress("reading robot")
+    from hplan.planning.fitted_orchard import (
+        find_start,
+        grow_fitted,
+        measure_workspace,
+        measured_defaults,
+        with_pickable_goal,
+        zone_of,
+    )
+    from hplan.scene.orchard import MeasuredOptions, measured_orchard
+
+    robot = robot_of(arguments)
+    progress("sampling the workspace")
+    space = measure_workspace(robot)
+    if arguments.fruit_heights is not None or arguments.fruit_reach is not None:
+        wanted["fruit_zone"] = _zone(arguments, zone_of(space))
+    start = [0.0] * robot.dof if arguments.start is None else arguments.start
+    if arguments.files:
+        options = MeasuredOptions(**measured_defaults(space) | wanted)
+        scene = _beside_base(measured_orchard(arguments.files, options, start_deg=start), robot, console)
+    else:
+        scene = grow_fitted(space, wanted, start)
+    if arguments.start is None:
+        progress("looking for a start")
+        scene = scene.with_values(start=find_start(robot, scene, space.far))
+    aimed, found = with_pickable_goal(robot, scene, progress)
+    return scene if arguments.goal else aimed, sum(reach.can_be_picked for reach in found.values())
+
+
+def _beside_base(scene: Scene, robot: Robot, console: Console) -> Scene:
     """Remove, and print, fruits that hang inside the robot's pedestal or turret."""
     from hplan.planning.world import without_inside
-    from hplan.robot.model import load_robot
 
-    robot = load_robot() if scene.robot is None else load_robot(scene.robot)
     fruit_alone, names = without_inside(robot, scene.copy_unchecked({"obstacles": ()}))
     if not names:
         return scene
@@ -194,12 +250,13 @@ def _zone(arguments: argparse.Namespace, usual: FruitZone) -> FruitZone:
     return FruitZone(low, high, usual.reach if arguments.fruit_reach is None else arguments.fruit_reach)
 
 
-def _show_orchard(console: Console, scene: Scene, out: Path) -> None:
+def _show_orchard(console: Console, scene: Scene, out: Path, pickable: int | None) -> None:
     """Print a summary in at most 80 columns, unless names are long."""
     heights = [fruit.center[2] for fruit in scene.fruits]
+    can = "" if pickable is None else f"; {pickable:,} can be picked from the start"
     facts = (
         ("obstacles", f"{len(scene.obstacles):,}"),
-        ("fruits", f"{len(scene.fruits):,}, {min(heights):.2f} to {max(heights):.2f} m high"),
+        ("fruits", f"{len(scene.fruits):,}, {min(heights):.2f} to {max(heights):.2f} m high{can}"),
         ("goal", escape(scene.goal.fruit)),
         ("file", escape(out)),
     )

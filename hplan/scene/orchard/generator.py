@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,8 +45,15 @@ def generate(options: OrchardOptions | None = None, *, start_deg: Sequence[float
         limbs = grow_tree(options, np.array([options.distance, y, 0.0]), np.random.default_rng([options.seed, number]))
         wood += _limbs_to_obstacles(limbs, f"tree {number} ")
     wood += _trellis(options)
-    fruits = hang_fruits(wood, options, np.random.default_rng([options.seed, 0]))
-    boxes = [box for box, wanted in ((_GROUND, options.ground), (_VEHICLE, options.vehicle)) if wanted]
+    zone = options.fruit_zone.lift(-options.height)
+    fruits = hang_fruits(wood, replace(options, fruit_zone=zone), np.random.default_rng([options.seed, 0]))
+    x, y, z = _GROUND.center
+    ground = _GROUND.copy_unchecked({"center": (x, y, z + options.height)})
+    boxes = [box for box, wanted in ((ground, options.ground), (_VEHICLE, options.vehicle)) if wanted]
+    if options.height:
+        lift = np.array([0.0, 0.0, options.height])
+        wood = [capsule(w.name, round_point(w.core[0] + lift), round_point(w.core[1] + lift), w.radius) for w in wood]
+        fruits = tuple(fruit.copy_unchecked({"center": round_point(fruit.center + lift)}) for fruit in fruits)
     return _assemble_scene(options, (*wood, *boxes), fruits, start_deg)
 
 

@@ -11,8 +11,9 @@ from pydantic import Field
 
 from hplan.base.arguments import one_of
 from hplan.base.checked import Options, Text
-from hplan.base.data_files import shipped_robots
+from hplan.base.data_files import robot_names
 from hplan.errors import OptionError
+from hplan.scene.robot_source import RobotSource
 
 #: Training form of the trees: branches all around a leader, or arms along the wires.
 Form: TypeAlias = Literal["spindle", "trellis"]
@@ -53,6 +54,11 @@ class FruitZone(Options):
         """True if a point is in the zone [m]."""
         return self.low <= z <= self.high and math.hypot(x, y) <= self.reach
 
+    def lift(self, height: float) -> FruitZone:
+        """Return the zone, higher by a height [m]."""
+        low, high = (min(max(end + height, -FARTHEST), FARTHEST) for end in (self.low, self.high))
+        return FruitZone(low, high, self.reach)
+
 
 #: Fruit zone of each shipped robot; nearly all of it is reachable.
 REACHED: Final = {"harvester": FruitZone(1.45, 2.05, 1.7), "orchard_harvester": FruitZone(0.35, 2.2, 1.7)}
@@ -63,10 +69,11 @@ class _Row(Options):
     """Common options of grown and measured tree rows (`OrchardOptions`)."""
 
     name: Text = "orchard"
-    robot: str | None = None
+    robot: str | RobotSource | None = None
     seed: Annotated[int, Field(ge=0)] = 0
     spacing: Annotated[float, Field(ge=0.2, le=10.0)] = 1.1
-    distance: Annotated[float, Field(ge=0.3, le=100.0)] = 1.4
+    distance: Annotated[float, Field(ge=0.1, le=100.0)] = 1.4
+    height: _Coordinate = 0.0
     goal: Text | None = None
     clearance: _UpToOne = 0.0
     wood_yields: _UpToOne = 0.0
@@ -76,8 +83,8 @@ class _Row(Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.robot is not None:
-            one_of("robot", self.robot, shipped_robots())
+        if isinstance(self.robot, str):
+            one_of("robot", self.robot, robot_names())
 
 
 @dataclass(frozen=True)
@@ -89,12 +96,14 @@ class OrchardOptions(_Row):
 
     Attributes:
         name: Name of the scene.
-        robot: Name of the intended shipped robot; None for the default robot.
+        robot: The intended robot, as in a scene; None for the default robot.
         seed: Random seed; all randomness follows from it.
         form: `spindle`: branches all around the trunk; `trellis`: arms along the wires, with branches on them.
         trees: Number of trees; the middle of the row is in front of the base.
         spacing: Distance of neighbouring trunks [m].
         distance: Distance of the row from the base's axis [m].
+        height: Height of the trees' feet above the base [m]; the other heights of the row, but not those of the fruit
+            zone, count from there.
         tree_height: Height of the trees [m].
         trunk_radius: Radius of a tapered trunk at the ground [m].
         branches: Number of branches of each tree.
@@ -162,7 +171,6 @@ class MeasuredOptions(_Row):
     Attributes:
         name: Name of the scene.
         seed: Seed of the order of branch tips for fruit.
-        height: Height of the trees' feet above the base [m].
         yaw_deg: Rotation of every tree about its own trunk [deg].
         fruits: Total number of fruits; None for all fruits of the files, or 20 if they have none.
         fruit_radius: Radius of a fruit [m], only for files without fruit; None for the radii of the files, or 0.04.
@@ -172,7 +180,6 @@ class MeasuredOptions(_Row):
     name: Text = "measured"
     spacing: Annotated[float, Field(ge=0.0, le=FARTHEST)] = 1.1
     distance: _Coordinate = 1.4
-    height: _Coordinate = 0.0
     yaw_deg: _Coordinate = 0.0
     fruits: Annotated[int, Field(ge=0, le=10_000)] | None = None
     fruit_radius: Annotated[float, Field(ge=1e-3, le=1.0)] | None = None

@@ -46,9 +46,7 @@ In this folder:
 lacks.
 {limits}"""
 
-_LIMITS_TEXT: Final = (
-    "`limits.yaml` has guesses for limits that the robot file lacks; replace them by the data sheet's.\n"
-)
+_LIMITS_TEXT: Final = "`limits.yaml` has guesses for limits that the robot file lacks: use the data sheet's.\n"
 
 _SCRIPT_TEXT: Final = '''\
 """Plans to the goal fruit of scene.yaml and writes the motion for the controller."""

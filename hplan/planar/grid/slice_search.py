@@ -74,11 +74,13 @@ class _Changes(NamedTuple):
         rows: (k,) rows that are free in some of the searched slices and occupied in others.
         late: (rows,) rows; those whose bounds may still have to be lowered come first.
         least: (rows,) lower bound of the length of paths through these rows; infinite for the other rows.
+        behind: (rows,) lower bound of the length of paths from the start's row.
     """
 
     rows: ShortArray
     late: ShortArray
     least: FloatArray
+    behind: FloatArray
 
 
 @kernel
@@ -95,13 +97,14 @@ def _search_rows(
     cost, parent, seen = np.empty(rows), np.empty(rows, dtype=np.int32), np.full(rows, -1, dtype=np.int32)
     slot, entries, closed = np.full(rows, NEW, dtype=np.int32), np.empty(rows, np.int32), np.empty(rows, np.int32)
     waiting = _Open(slot, np.empty(rows), entries)
-    ahead, one = np.empty(rows), np.uint64(1)
+    ahead, behind, one = np.empty(rows), np.empty(rows), np.uint64(1)
     # A slice is a separate grid with the second-to-last axis along its bits.
     places, flat = lattice.row_coordinates, lattice.step[:-1]
-    target = Node(goal, places[goal, len(flat) - 1])
+    source, target = Node(start, places[start, len(flat) - 1]), Node(goal, places[goal, len(flat) - 1])
     for row in range(rows):
         ahead[row] = bound(places, flat, row, places[row, len(flat) - 1], target, octile)
-    changes, late = _changes(free, wanted), 0
+        behind[row] = bound(places, flat, row, places[row, len(flat) - 1], source, octile)
+    changes, late = _Changes(*_changes(free, wanted), behind), 0
     path_rows, begins, expansions = np.empty(4096, dtype=np.int64), np.zeros(len(wanted) + 1, dtype=np.int64), 0
     for k in range(len(wanted)):
         number, begins[k + 1], limit = wanted[k], begins[k], np.inf
@@ -114,7 +117,7 @@ def _search_rows(
                 if not (free[path_rows[i], word] >> shift) & one:
                     limit = np.inf
                     break
-            late = _lower(free, (number, wanted[k - 1], start, late), limit, lattice, ahead, waiting, changes)
+            late = _lower(free, (number, wanted[k - 1], late), limit, lattice, ahead, waiting, changes)
         scale, tolerance = 1.0 / max(ahead[start], 1e-12), 1e-12 * ahead[start]
         seen[start], cost[start], parent[start], slot[start], size, done = number, 0.0, -1, NEW, 0, 0
         length = _follow(free, (number, start, goal), lattice, ahead, closed, backward) if octile and k > 0 else 0
@@ -176,20 +179,19 @@ def _follow(
     Returns:
         Number of rows of the path; 0 if a bound along it is not exact.
     """
-    (number, row, goal), one, count, sign = which, np.uint64(1), 1, -1.0 if backward else 1.0
-    offsets, costs, word, shift = lattice.row_offsets, lattice.move_costs, number >> 6, np.uint64(number & 63)
+    (number, row, goal), one, count = which, np.uint64(1), 1
+    costs, word, shift = lattice.move_costs[:, 1], number >> 6, np.uint64(number & 63)
+    # On exact bounds the cost of a move is the decrease of the bound.
+    moves = np.argsort(costs)[1:] if backward else np.argsort(-costs)[:-1]
+    offsets, costs = lattice.row_offsets[moves], costs[moves]
     path[0], tolerance = row, 1e-10 * lattice.step[0]
     while row != goal:
-        following, least = -1, np.inf
+        following = -1
         for move in range(len(offsets)):
             other = row + offsets[move]
-            if (
-                sign * ahead[other] < least
-                and costs[move, 1] + ahead[other] <= ahead[row] + tolerance
-                and (free[other, word] >> shift) & one
-                and other != row
-            ):
-                following, least = other, sign * ahead[other]
+            if costs[move] + ahead[other] <= ahead[row] + tolerance and (free[other, word] >> shift) & one:
+                following = other
+                break
         if following < 0:
             return 0
         path[count], row, count = following, following, count + 1
@@ -197,7 +199,7 @@ def _follow(
 
 
 @kernel
-def _changes(free: WordArray, wanted: IntArray) -> _Changes:
+def _changes(free: WordArray, wanted: IntArray) -> tuple[ShortArray, ShortArray, FloatArray]:
     """Find the rows that are free in only some requested slices."""
     rows, zero = free.shape[0], np.uint64(0)
     mask, changing, count = np.zeros(free.shape[1], dtype=np.uint64), np.empty(rows, dtype=np.int32), 0
@@ -210,12 +212,12 @@ def _changes(free: WordArray, wanted: IntArray) -> _Changes:
             some, missing = some | bits, missing | (bits ^ mask[word])
         if some != zero and missing != zero:
             changing[count], count = row, count + 1
-    return _Changes(changing[:count], np.empty(rows, dtype=np.int32), np.full(rows, np.inf))
+    return changing[:count], np.empty(rows, dtype=np.int32), np.full(rows, np.inf)
 
 
 @kernel
 def _lower(
-    free: WordArray, which: tuple[int, int, int, int], limit: float, lattice: LatticeArrays, ahead: FloatArray,
+    free: WordArray, which: tuple[int, int, int], limit: float, lattice: LatticeArrays, ahead: FloatArray,
     waiting: _Open, changes: _Changes,
 ) -> int:  # fmt: skip
     """Lower cost-to-go bounds until they hold in the next slice.
@@ -223,15 +225,13 @@ def _lower(
     They then hold on paths of at most the length `limit`.
 
     Args:
-        which: The next slice, the previous slice, the start's row, and the number of late rows.
+        which: The next slice, the previous slice, and the number of late rows.
 
     Returns:
         The number of late rows afterwards.
     """
-    (slot, keys, entries), (changing, late, lengths), (number, before, start, count) = waiting, changes, which
+    (slot, _, entries), (changing, late, lengths, behind), (number, before, count) = waiting, changes, which
     offsets, costs, one = lattice.row_offsets, lattice.move_costs, np.uint64(1)
-    places, flat = lattice.row_coordinates, lattice.step[:-1]
-    source = Node(start, places[start, len(flat) - 1])
     word, shift, last, back = number >> 6, np.uint64(number & 63), before >> 6, np.uint64(before & 63)
     size, kept, tolerance = 0, 0, 1e-10 * lattice.step[0]
     for row in changing:
@@ -253,23 +253,26 @@ def _lower(
                 new = min(new, ahead[other] + costs[move, 1])
         if new >= ahead[row] - tolerance:
             continue
-        length = new + bound(places, flat, row, places[row, len(flat) - 1], source, True)
+        length = new + behind[row]
         if length <= limit:
             ahead[row] = new
-            size = push(keys, entries, slot, size, new, row)
+            slot[row], entries[size], size = 0, row, size + 1
         else:
             late[kept], lengths[row], kept = row, length, kept + 1
+    head = 0
     while size > 0:
-        row = pop(keys, entries, slot, size)
-        size -= 1
+        row = entries[head]
+        head, size, slot[row] = head + 1 if head + 1 < len(entries) else 0, size - 1, NEW
         for move in range(len(offsets)):
             other, new = row + offsets[move], ahead[row] + costs[move, 1]
             if new >= ahead[other] - tolerance or not (free[other, word] >> shift) & one:
                 continue
-            length = new + bound(places, flat, other, places[other, len(flat) - 1], source, True)
+            length = new + behind[other]
             if length <= limit:
                 ahead[other] = new
-                size = push(keys, entries, slot, size, new, other)
+                if slot[other] < 0:
+                    tail = head + size if head + size < len(entries) else head + size - len(entries)
+                    slot[other], entries[tail], size = 0, other, size + 1
                 continue
             if lengths[other] == np.inf:
                 late[kept], kept = other, kept + 1

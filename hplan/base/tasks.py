@@ -103,10 +103,11 @@ def outcomes(task: Callable[[_T], _R], given: Sequence[_T], pool: Pool, at_once:
                     lost += [number for number, _ in waiting]
                     break
                 executor, is_broken = pool(), False
-    except INTERRUPTS:
+    except (*INTERRUPTS, GeneratorExit):  # the caller was interrupted, or takes no more results
         if isinstance(executor, ProcessPoolExecutor) and executor is not pool:
             for process in list((executor._processes or {}).values()):
                 process.terminate()  # else this process would wait for their tasks
+            executor.shutdown(cancel_futures=True)  # frees its semaphores, which the system would report as leaked
         raise
     finally:
         if executor is not pool:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -198,3 +200,31 @@ def test_with_the_planner_that_another_thread_plans_with() -> None:
     finally:
         done.set()
         thread.join()
+
+
+INTERRUPTED = """
+import os, signal, sys, time
+from hplan.base.interrupts import INTERRUPTS, handling_signals, leave
+from hplan.base.tasks import outcomes, pool_of
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    with handling_signals():
+        try:
+            for _ in outcomes(time.sleep, [0.01, 60.0, 60.0], *pool_of(None, 2)):
+                os.kill(os.getpid(), signal.SIGINT)
+                time.sleep(5.0)
+        except INTERRUPTS:
+            leave(130)
+"""
+
+
+def test_interrupted_pool_leaves_nothing_and_says_nothing(tmp_path: Path) -> None:
+    """Its processes end at once, and the system reports no leaked semaphores."""
+    (tmp_path / "job.py").write_text(INTERRUPTED)
+    begin, here = time.monotonic(), {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    done = subprocess.run(
+        [sys.executable, "job.py"], cwd=tmp_path, env=here, capture_output=True, text=True, timeout=90, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+    assert time.monotonic() - begin < 30.0

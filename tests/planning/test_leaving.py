@@ -62,9 +62,9 @@ def test_without_the_option_or_too_deep_the_start_is_refused() -> None:
 
 def test_motion_that_comes_nearer_or_stays_near_is_not_certified() -> None:
     robot, scene = load_robot(), next_to_the_hand(0.006, contact_depth=0.0)
-    other = scene.with_values(
-        goal=Goal(joints_rad=tuple((np.array(scene.start.configuration) + [0, 0.002, 0, 0]).tolist()))
-    )
+    nudged = np.array(scene.start.configuration)
+    nudged[1] += 0.002
+    other = scene.with_values(goal=Goal(joints_rad=tuple(nudged.tolist())))
     with pytest.raises(ConfigurationInCollisionError):
         plan(robot, other)  # its goal is nearer than the clearance
     motion = plan(robot, next_to_the_hand(0.006, contact_depth=0.0)).trajectory.reversal

@@ -7,6 +7,7 @@ whole hull; its excess is at most its rounding.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,12 +17,16 @@ import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen, readonly
+from hplan.base.disk_cache import cached_arrays
 
 #: Maximum number of vertices of a hull.
 HULL_VERTICES: Final = 128
 
 #: Points with a smaller extent than this in some direction are thickened by it to either side [m].
 THIN: Final = 1e-5
+
+#: Hulls of fewer points are computed faster than they are read from the disk.
+_FEW_POINTS: Final = 2000
 
 #: (8, 3) corners of the cube from -1 to 1.
 CUBE_CORNERS: Final = readonly([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
@@ -165,7 +170,9 @@ class Hull(Record):
 
 
 def hull_of(points: FloatArray, name: str = "", *, most: int = HULL_VERTICES) -> Hull:
-    """Convex hull of points in general position, with at most `most` vertices.
+    """Convex hull of points in general position, with at most `most` vertices; of many points it is kept on disk.
+
+    See `hplan.base.disk_cache`.
 
     Args:
         points: (n, 3) points that do not lie in one plane [m].
@@ -178,6 +185,19 @@ def hull_of(points: FloatArray, name: str = "", *, most: int = HULL_VERTICES) ->
     Raises:
         ValueError: The points lie in one plane.
     """
+    if len(points) < _FEW_POINTS:
+        return _hull_of(points, name, most)
+    parts = str(most).encode(), np.ascontiguousarray(points, dtype=np.float64).tobytes()
+    found = cached_arrays(parts, [sys.modules[__name__]], lambda: _to_arrays(_hull_of(points, name, most)))
+    return Hull(name, readonly(found["core"]), readonly(found["faces"], np.int64), float(found["rounding"]))
+
+
+def _to_arrays(hull: Hull) -> dict[str, np.ndarray[Any, Any]]:
+    return {"core": hull.core, "faces": hull.faces, "rounding": np.array(hull.rounding)}
+
+
+def _hull_of(points: FloatArray, name: str, most: int) -> Hull:
+    """Convex hull without the cache."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:

@@ -5,8 +5,8 @@ It is on a platform, and drops each apple into a bin next to it.
 pip install 'hplan[robots]'
 python scripts/examples/ur5_picking.py [TREE.csv] [FOLDER]
 
-The tree is a list of capsules (kind,x1,y1,z1,x2,y2,z2,radius: `hplan.scene.orchard.import_capsules`); without a file
-one is generated.
+The tree is a list of capsules and fruit (kind,x1,y1,z1,x2,y2,z2,radius: `hplan.scene.orchard.import_tree`); without a
+file one is generated, and fruit hangs at the branch tips of a file without fruit.
 """
 
 from __future__ import annotations
@@ -19,17 +19,8 @@ import hplan
 from hplan.apps.view.page import write_page
 from hplan.apps.view.playback import Playback
 from hplan.planning.report import write_report
-from hplan.robot.files import named_robot
 from hplan.scene import Box, Capsule, Goal, Scene
-from hplan.scene.orchard import FruitZone, MeasuredOptions, OrchardOptions, generate, measured_orchard
-
-#: A tube of 18 cm at the flange, along z of its frame; the tool frame at its mouth is the grasp point.
-SHAPE = '<origin xyz="0 0 0.09"/><geometry><cylinder radius="0.02" length="0.18"/></geometry>'
-TUBE = f"""
-<link name="tube"><visual>{SHAPE}</visual><collision>{SHAPE}</collision></link>
-<joint name="flange" type="fixed"><parent link="tool0"/><child link="tube"/></joint>
-<joint name="mouth" type="fixed"><origin xyz="0 0 0.18"/><parent link="tube"/><child link="tube_mouth"/></joint>
-<link name="tube_mouth"/></robot>"""
+from hplan.scene.orchard import FruitZone, MeasuredOptions, OrchardOptions, generate, import_tree, measured_orchard
 
 #: Folded, its back to the tree; the bin is at the platform's side and filled from above.
 START_DEG = (180.0, -110.0, 140.0, -120.0, -90.0, 0.0)
@@ -37,10 +28,8 @@ BIN = Goal(position=(-0.1, 0.55, 0.1), approach_deg=-90.0)
 
 
 def ur5() -> hplan.Robot:
-    """The UR5 of example-robot-data with the tube at its flange."""
-    files = named_robot("ur5")
-    urdf = files.urdf.read_text(encoding="utf-8").replace("</robot>", TUBE)
-    return hplan.load_robot(urdf, tool_frame="tube_mouth", limits=files.limits, package_dirs=files.package_dirs)
+    """The UR5 of example-robot-data with a tube of 18 cm at its flange; its mouth is the grasp point."""
+    return hplan.load_robot("ur5", tool_tube_m=0.18)
 
 
 def orchard(tree: str | None) -> Scene:
@@ -58,9 +47,13 @@ def orchard(tree: str | None) -> Scene:
         scene = generate(grown, start_deg=START_DEG)
         scene = scene.with_obstacles([*scene.obstacles, stem])
     else:
+        wood, hung = import_tree(tree)
+        # Wide trees are farther away: their branches end in front of the folded arm.
+        front = min(end[0] for piece in wood for end in piece.core if 0.3 <= end[2] <= 1.7)
         stands = MeasuredOptions(
-            name=Path(tree).stem, distance=0.95, height=-0.7, fruits=12, fruit_radius=0.035, fruit_zone=zone
-        )
+            name=Path(tree).stem, distance=max(0.95, 0.4 - float(front)), height=-0.7, fruits=12, fruit_zone=zone,
+            fruit_radius=None if hung else 0.035,
+        )  # fmt: skip
         scene = measured_orchard([tree], stands, start_deg=START_DEG)
     platform = Box(name="platform", center=(-0.2, 0.0, -0.36), size=(0.9, 0.7, 0.7))
     bin_wall = Box(name="bin", center=(-0.1, 0.55, -0.25), size=(0.35, 0.35, 0.4))

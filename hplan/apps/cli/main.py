@@ -18,6 +18,7 @@ COMMANDS = {
     "time": "time a motion through waypoints, for any robot",
     "certify": "prove that a trajectory keeps clearance and limits",
     "execute": "run a trajectory on a simulated arm",
+    "init": "write a folder to start from: a scene with your arm, a script",
     "orchard": "generate a scene with a row of fruit trees",
     "inspect": "list the faults of a robot file, its joints and touching links",
     "gui": "move arm, goal and obstacles in a browser; plan and save",

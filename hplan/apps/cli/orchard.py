@@ -153,7 +153,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     check_output_file(out, force=arguments.force)
     save_scene(scene, out)
     if not arguments.quiet:
-        _show_orchard(console, scene, out, pickable)
+        show_orchard(console, scene, out, pickable)
     return 0
 
 
@@ -250,7 +250,7 @@ def _zone(arguments: argparse.Namespace, usual: FruitZone) -> FruitZone:
     return FruitZone(low, high, usual.reach if arguments.fruit_reach is None else arguments.fruit_reach)
 
 
-def _show_orchard(console: Console, scene: Scene, out: Path, pickable: int | None) -> None:
+def show_orchard(console: Console, scene: Scene, out: Path, pickable: int | None) -> None:
     """Print a summary in at most 80 columns, unless names are long."""
     heights = [fruit.center[2] for fruit in scene.fruits]
     can = "" if pickable is None else f"; {pickable:,} can be picked from the start"

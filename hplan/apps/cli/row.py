@@ -28,6 +28,7 @@ from hplan.base.units import at_least_mm
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from hplan.scene.model import Scene
     from hplan.tour.row import RowResult
 
 _EPILOG = """\
@@ -45,7 +46,7 @@ exit status:
 FIGURE = "row.png"
 
 #: Options of the command that are fields of `RowOptions` under the same name.
-_OPTIONS = ("distance", "step", "heights", "objective", "share", "lift_speed", "settling", "detaching", "carried")
+_OPTIONS = ("step", "heights", "objective", "share", "lift_speed", "settling", "detaching", "carried")
 
 
 def parser(prog: str) -> argparse.ArgumentParser:
@@ -57,9 +58,8 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add(
         "--distance",
         type=float,
-        default=1.4,
         metavar="M",
-        help="distance from the base's axis to the row in metres (default: 1.4)",
+        help="distance from the base's axis to the row in metres (default: that of the scene's trunks, else 1.4)",
     )
     add("--one-side", action="store_true", help="stop on the first side only (default: on both)")
     add("--step", type=float, default=0.1, metavar="M", help="spacing of candidate stops in metres (default: 0.1)")
@@ -118,14 +118,15 @@ def _plan_row_and_write(
     from hplan.scene.file import load_scene
     from hplan.tour.row import RowOptions, plan_row
 
+    scene = load_scene(arguments.scene)
     row = RowOptions(
+        distance=_trunk_distance(scene) if arguments.distance is None else arguments.distance,
         both=not arguments.one_side,
         speed=arguments.drive_speed,
         acceleration=arguments.drive_acceleration,
         **{option: getattr(arguments, option) for option in _OPTIONS},
     )
     options = plan_options(arguments, "effort")
-    scene = load_scene(arguments.scene)
     robot = robot_of(arguments, scene)
     with folder.job(scene.name, robot.name):
         result = plan_row(robot, scene, options, row=row, workers=arguments.workers, progress=progress)
@@ -139,6 +140,15 @@ def _plan_row_and_write(
             figure = write_figure(lambda: draw_row(result), staging / FIGURE, errors)
             write_report({**result.report, "files": [f"{name}.csv" for name in names]}, staging / ROW_REPORT)
     return result, [*(f"{name}.csv" for name in names), ROW_REPORT, PAGE, *figure]
+
+
+def _trunk_distance(scene: Scene) -> float:
+    """Mean distance of the trunks' feet along x [m]; the default of `RowOptions` without trunks."""
+    from hplan.scene.obstacles import Capsule
+    from hplan.tour.row import RowOptions
+
+    trunks = [one for one in scene.obstacles if isinstance(one, Capsule) and one.name.endswith("trunk 1")]
+    return sum(one.start[0] for one in trunks) / len(trunks) if trunks else RowOptions.distance
 
 
 def _index(result: RowResult, names: list[str]) -> str:

@@ -57,7 +57,7 @@ from hplan.certificate.digests import Digests
 from hplan.certificate.goal_contact import FruitContact, contact_window
 from hplan.certificate.limit_use import LimitUse, limit_use
 from hplan.certificate.motion_bound import fastest, largest_deviations
-from hplan.certificate.moving_obstacles import checker_in_time, clear_until, moving_base_contacts
+from hplan.certificate.moving_obstacles import checker_in_time, clear_until, end_violations, moving_base_contacts
 from hplan.certificate.pair_rules import PairRule, joined_rules, pair_rules
 from hplan.certificate.pushes import Push
 from hplan.certificate.start_state import start_violations
@@ -296,6 +296,7 @@ def certify(
                 allowed.append(contact)
         allowed.sort(key=lambda contact: contact.span_s)
         violations += base_violations(robot, scene, checker, trajectory, begin_s)
+        violations += end_violations(checker, trajectory.position[-1], scene.clearance)
     instance("checker", checker, CoalScene, "CoalScene")
     if check_ends:
         violations += [

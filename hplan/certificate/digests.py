@@ -87,6 +87,8 @@ def scene_digest(scene: Scene) -> str:
             found.add_text(fruit.name, "hangs_from", *fruit.hangs_from)
     if scene.yield_links is not None:
         found.add_text("yield_links", *scene.yield_links)
+    if scene.start.contact_depth is not None:
+        found.add_text("contact_depth", repr(scene.start.contact_depth))
     for key, named in (("start", scene.start.joints), ("goal", scene.goal.joints)):
         if named is not None:
             found.add_text(key, *(f"{name}={value!r}" for name, value in sorted(named.items())))

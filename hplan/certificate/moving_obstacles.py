@@ -16,8 +16,9 @@ from hplan.base.arrays import FloatArray
 from hplan.certificate.clearance_proof import MOST_TRAVEL, SMALLEST_STEP, prove_clearance
 from hplan.collision.arm_pairs import BASE_DEPTH, base_bodies
 from hplan.collision.coal_cloud import distance_from
-from hplan.collision.coal_scene import CoalScene
+from hplan.collision.coal_scene import CoalScene, Leaving
 from hplan.collision.moving_solids import MovingSolids
+from hplan.errors import MovingObstacleError
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import Sigmas, Solid, growths
@@ -31,10 +32,43 @@ def checker_in_time(robot: Robot, scene: Scene, sigmas: Sigmas) -> CoalScene:
 
     Each solid is grown for its position uncertainty. If some solids move, the checker is time-dependent.
     """
-    solids = scene.listed_solids
+    solids, leaving = scene.listed_solids, leaving_of(robot, scene)
     movements = scene.movements if scene.moves else ()
     grown = growths(solids, sigmas)
-    return CoalScene(robot, solids, growth=grown, movements=movements, yield_links=scene.yield_links)
+    return CoalScene(
+        robot, solids, growth=grown, movements=movements, yield_links=scene.yield_links,
+        clearance=0.0 if leaving is None else scene.clearance, leaving=leaving,
+    )  # fmt: skip
+
+
+def end_violations(checker: CoalScene, q: FloatArray, clearance: float) -> Iterator[str]:
+    """Messages about pairs that were too near at the start and are still so at the end of a motion.
+
+    Args:
+        checker: The arm among the obstacles.
+        q: (dof,) configuration at the end.
+        clearance: Required clearance [m].
+    """
+    if not len(checker.near_pairs):
+        return
+    distances = checker.pair_distances(q)
+    for pair in checker.near_pairs.tolist():
+        if distances[pair] < clearance:
+            name = checker.obstacle_names[checker.pairs[pair][1]]
+            yield f"the motion ends {1e3 * distances[pair]:.4g} mm from obstacle {name!r}, which it has to leave"
+
+
+def leaving_of(robot: Robot, scene: Scene) -> Leaving | None:
+    """The start of a scene that may be nearer to obstacles than the clearance; None without `Start.contact_depth`.
+
+    Raises:
+        MovingObstacleError: An obstacle moves: nearness at the start says nothing about it.
+    """
+    if scene.start.contact_depth is None:
+        return None
+    if scene.moves:
+        raise MovingObstacleError(scene.first_moving, "start.contact_depth takes scenes without moving obstacles")
+    return Leaving(tuple(robot.joints_of(scene.start, "start").tolist()), scene.start.contact_depth)
 
 
 def moving_base_contacts(robot: Robot, moving: MovingSolids, begin_s: float, end_s: float) -> Iterator[str]:

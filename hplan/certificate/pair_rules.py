@@ -14,6 +14,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
+import numpy as np
+
 from hplan.certificate.clearance_proof import Proof
 from hplan.collision.arm_pairs import BASE_DEPTH
 from hplan.collision.coal_scene import CoalScene
@@ -54,7 +56,8 @@ def pair_rules(checker: CoalScene, proof: Proof, clearance: float) -> tuple[Pair
         proof: The proof of its clearance.
         clearance: Clearance that all other pairs keep [m].
     """
-    return joined_rules([(*_closer_pairs(checker, proof, clearance), *_exempt(checker))])
+    near = _near_at_start(checker, clearance) if proof.is_certified else ()
+    return joined_rules([(*_closer_pairs(checker, proof, clearance), *near, *_exempt(checker))])
 
 
 def joined_rules(parts: Iterable[Sequence[PairRule]]) -> tuple[PairRule, ...]:
@@ -77,6 +80,16 @@ def _closer_pairs(checker: CoalScene, proof: Proof, clearance: float) -> Iterato
                 f"they must not touch: at random configurations their distance is at most {1e3 * pair.farthest:.4g} mm"
             )
             yield PairRule(pair.mover_name, pair.other_name, rule, required, bounds.get(first + number))
+
+
+def _near_at_start(checker: CoalScene, clearance: float) -> Iterator[PairRule]:
+    """Pairs that are too near at the start, and come no nearer."""
+    required = np.broadcast_to(checker.required_distance(clearance), len(checker.pairs))
+    for number in checker.near_pairs.tolist():
+        mover, other = checker.pairs[number]
+        least = float(required[number])
+        rule = f"it is left: at the start their distance is {1e3 * least:.4g} mm, and it becomes no smaller"
+        yield PairRule(checker.mover_names[mover], checker.obstacle_names[other], rule, least, least)
 
 
 def _exempt(checker: CoalScene) -> Iterator[PairRule]:

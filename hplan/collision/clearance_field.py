@@ -153,12 +153,12 @@ class ClearanceField(Record):
             distance: Pairs farther apart than this are irrelevant [m].
             turn: So are pairs that, by their gradients, do not touch while every joint moves by this [rad].
         """
-        first, arrays = len(self.arm.bodies), self.arrays._replace(solids=self.solids[:0])
+        first, alone = len(self.arm.bodies), replace(self, solids=self.solids[:0], owner=self.owner[:0])
         idle = np.arange(self.count) >= first
         if not idle.any():
             return self
-        clear, gradient = np.empty(len(idle)), np.empty((len(idle), len(movable)))
-        for configuration in path:
+        clear, gradient, arrays = np.empty(len(idle)), np.empty((len(idle), len(movable))), alone.arrays
+        for configuration in path[(alone.clearance_along(path, distance) < distance).any(axis=1)]:
             body_slopes(configuration, arrays, movable, distance, clear, gradient)
             idle &= (clear >= distance) | (clear > turn * np.abs(gradient).sum(axis=1))
         pairs = self.arm.pairs.copy()

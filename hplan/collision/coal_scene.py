@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -61,6 +61,22 @@ class OwnContact(Contact):
         return f"link {self.obstacle!r}"
 
 
+#: The arm may come this much nearer than it was at a start that it leaves [m].
+LEAVE_TOLERANCE: Final = 1e-4
+
+
+class Leaving(NamedTuple):
+    """A start nearer to obstacles than the clearance.
+
+    Attributes:
+        q: (dof,) the configuration.
+        depth: Maximum depth of a contact that the arm may leave [m].
+    """
+
+    q: tuple[float, ...]
+    depth: float
+
+
 class CoalScene:
     """Collision checker of an arm among obstacles.
 
@@ -105,6 +121,7 @@ class CoalScene:
         clearance: float = 0.0,
         movements: Sequence[Movement | None] = (),
         yield_links: Sequence[str] | None = None,
+        leaving: Leaving | None = None,
     ) -> None:
         """Build the geometry of a robot among obstacles.
 
@@ -117,6 +134,7 @@ class CoalScene:
             movements: Movement of each obstacle, None for a static one; empty if all are static.
             yield_links: Names of the links that may push compliant obstacles; None for the links on the last two
                 joints.
+            leaving: Start whose obstacles may be nearer than the clearance; None for none.
 
         Raises:
             OptionError: A name in `yield_links` is not a moving link.
@@ -130,6 +148,7 @@ class CoalScene:
             "clearance": clearance,
             "movements": tuple(movements),
             "yield_links": None if yield_links is None else tuple(yield_links),
+            "leaving": leaving,
         }
         self.moving = MovingSolids.combine(obstacles, movements)
         self._touched: tuple[tuple[str, tuple[str, ...]], ...] = ()
@@ -163,12 +182,13 @@ class CoalScene:
         self.obstacle_names = (*(obstacle.name for obstacle in obstacles), *own_names)
         self.pairs = list(itertools.product(mover_of, range(len(obstacles))))
         self.pairs += zip(own[:, 0].tolist(), (self.own_first + own[:, 1]).tolist(), strict=True)
-        self._yielded = self._depths(maximum_deflection(robot, obstacles, yield_links), yield_links)
         # Parts of the arm do not grow.
         self._taken_off: FloatArray = np.append(self._beyond, np.zeros(len(parts.own)))
         solids = obstacle_shapes(obstacles)
         check_deadline()
         self._geometry = GeometryPairs(robot.model, self._mover_shapes, solids, parts.shape_pairs, parts.bare_shapes)
+        self._near = self._near_at_start(leaving)
+        self._yielded = self._depths(maximum_deflection(robot, obstacles, yield_links), yield_links)
 
     def __getstate__(self) -> dict[str, Any]:
         """Constructor arguments, because Pinocchio's data cannot be pickled."""
@@ -220,6 +240,10 @@ class CoalScene:
         built = {**self._built, "deviation": most, "clearance": clearance}
         return _rebuilt(built, self._touched)
 
+    def without_leaving(self) -> CoalScene:
+        """Checker in which pairs that are too near at the start keep the clearance, too."""
+        return _rebuilt({**self._built, "leaving": None}, self._touched) if len(self.near_pairs) else self
+
     def rests_from(self, name: str) -> float:
         """Time from which an obstacle rests relative to the base; -inf if it never moves [s]."""
         moving = () if self.moving is None else zip(self.moving.solids, self.moving.movements, strict=True)
@@ -251,16 +275,46 @@ class CoalScene:
         return other
 
     def _depths(self, yielded: FloatArray | None, yield_links: Sequence[str] | None) -> FloatArray | None:
-        """Maximum deflection of each pair, (pairs,) [m].
+        """Permitted depth of each pair, (pairs,) [m].
 
-        0 for rigid pairs; None if all pairs are rigid.
+        0 for pairs that keep the clearance, negative for those that keep less; None if all pairs keep the clearance.
         """
         if yielded is None:
-            return None
+            return None if self._near is None else np.where(self._near > -np.inf, self._near, 0.0)
         names = pushing_links(self.robot, yield_links)
         own, shapes = len(self.parts.own), self.pairs[: self._beyond.size : self.own_first]
         pushes = np.array([self.mover_names[mover] in names for mover, _ in shapes])
-        return np.append(np.where(pushes[:, None], yielded, 0.0), np.zeros(own))
+        depths = np.append(np.where(pushes[:, None], yielded, 0.0), np.zeros(own))
+        if self._near is None:
+            return depths
+        is_near = self._near > -np.inf
+        return np.where(is_near, np.where(depths > 0.0, np.maximum(depths, self._near), self._near), depths)
+
+    def _near_at_start(self, leaving: Leaving | None) -> FloatArray | None:
+        """(pairs,) permitted depth of the pairs that are too near at a start; -inf for others; None without any."""
+        if leaving is None:
+            return None
+        distances = self.pair_distances(np.array(leaving.q))
+        is_near = (distances < self.clearance + LEAVE_TOLERANCE) & (distances >= -leaving.depth)
+        is_near[self._beyond.size :] = False
+        # Zero would mean the full clearance.
+        depths = LEAVE_TOLERANCE - distances
+        depths[depths == 0.0] = LEAVE_TOLERANCE
+        return np.where(is_near, depths, -np.inf) if is_near.any() else None
+
+    @property
+    def near_pairs(self) -> IntArray:
+        """Indices of the `pairs` that are too near at the start."""
+        return np.zeros(0, dtype=np.int64) if self._near is None else np.flatnonzero(self._near > -np.inf)
+
+    @property
+    def near_solids(self) -> tuple[tuple[int, int, float], ...]:
+        """Number of the obstacle, joint, and required distance [m] of each pair that is too near at the start."""
+        required = np.broadcast_to(self.required_distance(self.clearance), len(self.pairs))
+        return tuple(
+            (pair % self.own_first, self._mover_shapes[pair // self.own_first].parentJoint - 1, float(required[pair]))
+            for pair in self.near_pairs.tolist()
+        )
 
     @property
     def meetings(self) -> tuple[list[pin.GeometryObject], tuple[Solid, ...], FloatArray]:
@@ -276,7 +330,7 @@ class CoalScene:
     @property
     def compliant_pairs(self) -> IntArray:
         """Indices of the `pairs` with a compliant obstacle."""
-        return np.flatnonzero(self._yielded) if self._yielded is not None else np.zeros(0, dtype=np.int64)
+        return np.flatnonzero(self._yielded > 0.0) if self._yielded is not None else np.zeros(0, dtype=np.int64)
 
     def required_distance(self, clearance: float) -> float | FloatArray:
         """Required distances of the `pairs` [m].
@@ -299,7 +353,7 @@ class CoalScene:
 
     def _but_pushed(self, kept: FloatArray) -> FloatArray:
         """(pairs,) required distances [m]; for compliant obstacles the negative maximum deflection."""
-        return kept if self._yielded is None else np.where(self._yielded > 0.0, -self._yielded, kept)
+        return kept if self._yielded is None else np.where(self._yielded != 0.0, -self._yielded, kept)
 
     def deflection_offsets(self, clearance: float) -> FloatArray:
         """(pairs,) offsets of distances of compliant obstacles [m].
@@ -310,7 +364,7 @@ class CoalScene:
         """
         if self._yielded is None:
             return np.zeros(len(self.pairs))
-        return np.where(self._yielded > 0.0, clearance + self._yielded, 0.0)
+        return np.where(self._yielded != 0.0, clearance + self._yielded, 0.0)
 
     def distances(self, q: ArrayLike, time_s: float | None = None) -> FloatArray:
         """Signed distances at one configuration, (dof,) -> (bodies, obstacle names) [m].

@@ -83,6 +83,30 @@ class LinkedSolids(Record):
         growths = np.concatenate([grown[firm], grown[soft], smaller[soft]])
         return cls(tuple(solids[number] for number in order.tolist()), frozen(growths), frozen(joints))
 
+    def with_nearer(
+        self, dof: int, solids: Sequence[Solid], near: Sequence[tuple[int, int, float]], growth: FloatArray
+    ) -> LinkedSolids:
+        """Solids that the links of a joint may come nearer to.
+
+        Args:
+            dof: Number of joints.
+            solids: The solids, each once.
+            near: Number of the solid in that list, joint, and required distance for the links on the joint [m].
+            growth: (solids,) growth of each solid for its position uncertainty [m].
+        """
+        if not near:
+            return self
+        joints = np.ones((len(self.solids), dof), dtype=np.bool_) if self.joints is None else np.array(self.joints)
+        nearer = np.zeros((len(near), dof), dtype=np.bool_)
+        for row, (number, joint, _) in enumerate(near):
+            joints[[solid is solids[number] for solid in self.solids], joint] = False
+            nearer[row, joint] = True
+        return LinkedSolids(
+            (*self.solids, *(solids[number] for number, _, _ in near)),
+            frozen(np.append(self.growth, [growth[number] + required for number, _, required in near])),
+            frozen(np.concatenate([joints, nearer])),
+        )
+
     def field(self, robot: Robot, *, own_clearance: float | None = None, deviation: float = 0.0) -> ClearanceField:
         """Clearance field of the arm among the solids (see `ClearanceField.of`)."""
         return ClearanceField.build(

@@ -234,6 +234,8 @@ def prove_infeasible(problem: Problem, numbers: Sequence[int] | None = None) -> 
         For each goal the error that proves it; None if a path exists or the question is undecided.
     """
     numbers = range(len(problem.goals)) if numbers is None else numbers
+    if problem.is_leaving:
+        return [None] * len(numbers)
     errors: dict[int, NoPathError | None] = dict.fromkeys(numbers)
     first, remaining = next(iter(numbers), None), list(numbers)
     while remaining:

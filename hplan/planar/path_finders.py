@@ -59,12 +59,12 @@ def searches_first(problem: Problem) -> bool:
 
     A grid is then searched even if the straight motion is free.
     """
-    return not base_turns(problem)
+    return not base_turns(problem) and not problem.is_leaving
 
 
 def path_finders(problem: Problem) -> Sequence[PathFinder] | None:
     """Path finders of a problem; None for the general finders."""
-    if base_turns(problem):
+    if base_turns(problem) or problem.is_leaving:
         return None
     if problem.effort.at_once:
         return (FirstGridPaths(_AT_ONCE),)

@@ -100,6 +100,14 @@ class Problem(Record):
         return first
 
     @property
+    def is_leaving(self) -> bool:
+        """True if the start is nearer to obstacles than the clearance (`Start.contact_depth`).
+
+        C-spaces of the scene then exclude it, and prove nothing.
+        """
+        return len(self.world.checker.near_pairs) > 0
+
+    @property
     def is_empty(self) -> bool:
         """True if start and goal are the same configuration."""
         return bool(np.abs(self.goal - self.start).max() < 1e-9)

@@ -19,9 +19,10 @@ from hplan.base import ties
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import check_deadline
 from hplan.certificate.motion_bound import pair_sways
+from hplan.certificate.moving_obstacles import leaving_of
 from hplan.collision.arm_pairs import BASE_DEPTH, base_radius
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.coal_scene import CoalScene, OwnContact, base_contacts
+from hplan.collision.coal_scene import CoalScene, Leaving, OwnContact, base_contacts
 from hplan.collision.giving_way import LinkedSolids
 from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.planning.options import PlanOptions
@@ -73,6 +74,7 @@ class World(Record):
         tracking_error: float = 0.0,
         sigmas: Sigmas = 0.0,
         yield_links: Sequence[str] | None = None,
+        leaving: Leaving | None = None,
     ) -> World:
         """Prepare solids for planning.
 
@@ -81,17 +83,20 @@ class World(Record):
             tracking_error: Tracking error of any joint at rest [rad].
             sigmas: Inflation of an obstacle in standard deviations of its position; a mapping by name if they differ.
             yield_links: Links that may push compliant obstacles; None for the links of the last two joints.
+            leaving: Start that may be nearer to obstacles than the clearance; None for none.
 
         Raises:
             OptionError: `yield_links` names an unknown link.
         """
         growth = growths(solids, sigmas)
-        linked = LinkedSolids.build(robot, solids, clearance + growth, yield_links, growth)
-        field = linked.field(robot, own_clearance=clearance, deviation=tracking_error)
-        check_deadline()
         checker = CoalScene(
-            robot, solids, growth=growth, deviation=tracking_error, clearance=clearance, yield_links=yield_links
-        )
+            robot, solids, growth=growth, deviation=tracking_error, clearance=clearance, yield_links=yield_links,
+            leaving=leaving,
+        )  # fmt: skip
+        check_deadline()
+        linked = LinkedSolids.build(robot, solids, clearance + growth, yield_links, growth)
+        linked = linked.with_nearer(robot.dof, solids, checker.near_solids, growth)
+        field = linked.field(robot, own_clearance=clearance, deviation=tracking_error)
         return cls(robot, tuple(solids), clearance, tracking_error, field, checker, linked, growth, yield_links)
 
     @classmethod
@@ -105,7 +110,8 @@ class World(Record):
         """
         # Without required certification, no clearance is reserved for tracking errors; motions are certified anyway.
         tracking_error = options.tracking.still_rad
-        key = scene.solids_with_goal, scene.clearance, tracking_error, options.sigmas, scene.yield_links
+        leaving = leaving_of(robot, scene)
+        key = scene.solids_with_goal, scene.clearance, tracking_error, options.sigmas, scene.yield_links, leaving
         check_deadline()
         kept: deque[tuple[object, World]] = robot.cache("worlds", lambda: deque(maxlen=2))
         for known, world in tuple(kept):
@@ -113,7 +119,7 @@ class World(Record):
                 return world
         world = cls.build(
             robot, key[0], clearance=scene.clearance, tracking_error=tracking_error, sigmas=options.sigmas,
-            yield_links=scene.yield_links,
+            yield_links=scene.yield_links, leaving=leaving,
         )  # fmt: skip
         kept.append((key, world))
         return world
@@ -131,6 +137,7 @@ class World(Record):
             return replace(self, field=field, checker=checker, touched=touched)
         whole = self.clearance + self.growth
         linked = LinkedSolids.build(self.robot, self.solids, whole, self.yield_links, self.growth, hanging)
+        linked = linked.with_nearer(self.robot.dof, self.solids, checker.near_solids, self.growth)
         field = linked.field(self.robot, own_clearance=self.clearance, deviation=self.deviation)
         field = field.ignoring_last_link(linked.name_mask(touched))
         return replace(self, field=field, checker=checker, linked=linked, touched=touched, hanging=hanging)
@@ -148,7 +155,7 @@ class World(Record):
             ConfigurationInCollisionError: It has less; names link, obstacle or other part of the arm, and depth. If the
                 tracking error alone is too large, it also names the largest one that would fit.
         """
-        key = q.tobytes()
+        key = which.encode() + q.tobytes() if len(self.checker.near_pairs) else q.tobytes()
         found = self._cached_clearances.get(key)
         if found is None:
             found = self._check(q, which)
@@ -157,16 +164,22 @@ class World(Record):
         return found
 
     @cached_property
+    def _firm_checker(self) -> CoalScene:
+        """The checker in which all pairs keep the clearance, also those that are too near at the start."""
+        return self.checker.without_leaving()
+
+    @cached_property
     def _cached_clearances(self) -> dict[bytes, float]:
         """Cached clearances of collision-free configurations; tours check their stops repeatedly."""
         return {}
 
     def _check(self, q: FloatArray, which: str) -> float:
+        checker = self.checker if which == "start" else self._firm_checker
         if self.deviation == 0.0:
-            return check_clear(self.checker, q, self.clearance, which)
+            return check_clear(checker, q, self.clearance, which)
         sway = pair_sways(self.checker, np.full((1, self.robot.dof), self.deviation))[:, 0]
         try:
-            return check_clear(self.checker, q, self.clearance, which, sway=sway)
+            return check_clear(checker, q, self.clearance, which, sway=sway)
         except ConfigurationInCollisionError as error:
             left = self.checker.pair_distances(q) - self.clearance
             fraction = float((left / np.maximum(sway, 1e-300)).min())

@@ -63,6 +63,8 @@ class CellRobot(StrictModel):
     def _begins_at_rest(self) -> CellRobot:
         if self.start.is_moving:
             raise fault("a robot of a workcell must begin at rest", "start")
+        if self.start.contact_depth is not None:
+            raise fault("a robot of a workcell must begin clear of obstacles", "start", "contact_depth")
         if self.drop_off is not None and self.drop_off.fruit is not None:
             raise fault("a drop-off is given by joints, a position or a pose, not by a fruit", "drop_off", "fruit")
         if self.every > 1 and self.drop_off is None:

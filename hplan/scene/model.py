@@ -141,6 +141,9 @@ class Start(JointValues):
         joints_rad: Joint values [rad or m].
         joints: Joint values by name: `{"rail_m": 0.3, "shoulder_deg": 40}`. A name ends in a unit, `_deg`, `_rad`, `_m`
             or `_mm`, or has none for rad and m. All joints are named.
+        contact_depth: Maximum depth of contacts with obstacles at the start, which the arm leaves [m]; 0 for a start
+            that is only nearer than the clearance. Links that are too near at the start come no nearer than there (up
+            to 0.1 mm) during the motion; at its end all keep the clearance. None if the start keeps it, too.
         velocity_rad_s: Joint velocities [rad/s or m/s]; None for zero.
         acceleration_rad_s2: Joint accelerations [rad/s^2 or m/s^2]; None for zero.
 
@@ -153,6 +156,7 @@ class Start(JointValues):
         [0.0, 1.5708, -1.5708, 0.0]
     """
 
+    contact_depth: Annotated[float | None, Field(ge=0.0, le=0.05, exclude=True)] = None
     velocity_rad_s: Annotated[tuple[float, ...] | None, Field(exclude=True)] = None
     acceleration_rad_s2: Annotated[tuple[float, ...] | None, Field(exclude=True)] = None
 

@@ -266,6 +266,10 @@ class TourPlanner:
         self._drop: Transit | None = None
         if scene.start.is_moving:
             raise SceneError("tours begin at rest, but the start has a velocity or an acceleration", where="start")
+        if scene.start.contact_depth is not None:
+            raise SceneError(
+                "plan a motion away from the obstacles first: tours begin clear", where="start.contact_depth"
+            )
         self.problem = Problem.from_scene(robot, scene, options)
         self.start = self.problem.start
         self.problem.world.check_base()

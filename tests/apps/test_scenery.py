@@ -5,14 +5,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pages import animation_of, objects, orchard, steady_motion
+from pages import animation_of, commands_of, objects, orchard, steady_motion
 from scipy.spatial.transform import Rotation
 
+from hplan.apps.view.page import render_page
 from hplan.apps.view.playback import Playback
 from hplan.apps.view.scene_stage import REST_S, build_stage, keyframe_times
-from hplan.apps.view.scenery import METAL, WOOD, moving_nodes, obstacles, picks
+from hplan.apps.view.scenery import METAL, UNPICKED_COLORS, WOOD, moving_nodes, obstacles, picks
 from hplan.robot.model import Robot
-from hplan.scene.model import Goal
+from hplan.scene.model import Fruit, Goal
 from hplan.scene.obstacles import Box, Capsule, Cylinder
 from hplan.scene.tracks import Track
 from hplan.trajectory.trajectory import Phase, Trajectory
@@ -178,3 +179,17 @@ def test_tracked_obstacles_are_where_the_scene_puts_them(robot: Robot, creeping:
         np.testing.assert_array_equal(found[".position"][-1], found[".position"][-2])
         (at_first,) = [c["matrix"] for c in commands if c["type"] == "set_transform" and c["path"] == nodes[name]]
         np.testing.assert_allclose(np.reshape(at_first, (4, 4)).T[:3, 3], shifts[0], atol=1e-5)
+
+
+def test_fruit_that_is_not_picked_has_the_colour_of_its_reason(robot: Robot) -> None:
+    names = ("far", "behind", "narrow", "lost", "ripe")
+    fruits = tuple(Fruit(name=name, center=(1.0, 0.1 * k, 1.0), radius=0.03) for k, name in enumerate(names))
+    scene = orchard(fruits=fruits)
+    unpicked = dict(zip(names, UNPICKED_COLORS, strict=False))
+    page = render_page(robot, scene, Playback(steady_motion(robot, (0.1, 0.2, 0.2, 0.2)), unpicked=unpicked))
+    drawn = {path.rpartition("/")[2]: body for path, body in objects(commands_of(page)).items() if "/fruits/" in path}
+    colors = {name: next(iter(drawn[f"fruit {name}"]["materials"]))["color"] for name in names}
+    assert [colors[name] for name in names[:4]] == list(UNPICKED_COLORS.values())
+    assert colors["ripe"] not in UNPICKED_COLORS.values()
+    for words in ("Out of reach", "Blocked", "No approach", "No motion found"):
+        assert words in page

@@ -378,7 +378,7 @@ def test_command_writes_each_arms_file(write, tmp_path, capsys):
     report = json.loads((out / "report.json").read_text())
     assert report["makespan_s"] == pytest.approx(max(motion.duration for motion in motions.values()))
     least = min(mm for mm in (report["between_arms_mm"], *report["arms_mm"].values()) if mm is not None)
-    assert f"clearance {np.floor(100.0 * least) / 100.0:.2f} mm" in (out / "scene.html").read_text()
+    assert f"keeps at least {np.floor(100.0 * least) / 100.0:.2f} mm at all times" in (out / "scene.html").read_text()
     assert main(["certify", str(out), str(scene)]) == main(["certify", str(out / "trajectory.csv"), str(scene)]) == 0
     assert capsys.readouterr().out.count("verified") == 2
     near = write("near.yaml", YAML.replace("[3, 0, 0]", "[1.4, 0, 0]"))

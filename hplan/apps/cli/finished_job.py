@@ -112,6 +112,7 @@ class FinishedJob:
                 reached = [phase.end_s for phase in phases if phase.name != "retreat"]
                 picked |= {} if fruit is None else {fruit: reached[-1]}
                 return Playback(trajectory, picked, {}, phases, certificate, curve)
+            unpicked = {one["fruit"]: str(one.get("reason", "no_motion")) for one in self.report.get("unreached", ())}
             phases = []
             for leg in self.report["legs"]:
                 if leg["fruit"] is not None:
@@ -121,7 +122,7 @@ class FinishedJob:
                     dropped |= {name: phases[-1].end_s for name in picked if name not in dropped}
         except (AttributeError, IndexError, KeyError, TypeError) as error:
             raise self._fault("the phases of its motion are missing or malformed") from error
-        return Playback(trajectory, picked, dropped, phases, certificate, curve)
+        return Playback(trajectory, picked, dropped, phases, certificate, curve, unpicked=unpicked)
 
     def certificate(self) -> Certificate:
         """Restore the certificate of the motion from the report.

@@ -29,6 +29,7 @@ from hplan.base.data_files import view_asset
 from hplan.base.files import HTML_COMMENT, write_marked
 from hplan.base.units import at_least_mm
 from hplan.errors import HplanError
+from hplan.planning.failures import REASON_WORDS
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.trajectory.trajectory import Phase, Trajectory, check_trajectory_joints
@@ -257,6 +258,9 @@ def render_page(robot: Robot, scene: Scene, playback: Playback) -> str:
         entries.append(("Fruit to pick", [scenery.HALO_COLOR]))
     if moves and playback.picked:
         entries.append(("Picked", [scenery.PICKED_COLOR]))
+    for reason, color in scenery.UNPICKED_COLORS.items():
+        if reason in playback.unpicked.values():
+            entries.append((REASON_WORDS[reason].capitalize(), [color]))
     subtitle = f"{robot.name}, {trajectory.duration:.2f} s" if moves else f"{robot.name}, at rest"
     panel = _panel(robot, scene, playback) if moves else ""
     return document(scene.name, subtitle, entries, build_stage(robot, scene, playback), panel)

@@ -44,6 +44,7 @@ class Playback:
         arms: For several arms, the phases of each arm, by name.
         frames: For several arms, the tool frame of each arm, by name.
         pickers: For several arms, the name of the arm that picks each fruit.
+        unpicked: Reason of each fruit that a tour does not pick (`hplan.planning.failures.Reason`), by name.
     """
 
     trajectory: Trajectory
@@ -56,6 +57,7 @@ class Playback:
     arms: Mapping[str, Sequence[Phase]] = field(default_factory=dict)
     frames: Mapping[str, str] = field(default_factory=dict)
     pickers: Mapping[str, str] = field(default_factory=dict)
+    unpicked: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         instance("trajectory", self.trajectory, Trajectory, "plan or read_csv")
@@ -122,9 +124,11 @@ def playable(result: Shown) -> tuple[Robot, Scene, Playback]:
     # A plan computes its picking time (`PlanResult.picked_fruit`); tours have theirs as a field.
     picked = getattr(given, "picked_fruit", getattr(given, "picked", {}))
     dropped = getattr(given, "dropped", {})
+    unpicked = {one.fruit: one.reason for one in getattr(given, "unreached", ())}
     if not hasattr(result, "cell"):
         phases = getattr(given, "phases", ())
-        return given.robot, given.scene, Playback(given.trajectory, picked, dropped, phases, given.certificate)
+        motion = Playback(given.trajectory, picked, dropped, phases, given.certificate, unpicked=unpicked)
+        return given.robot, given.scene, motion
     arms = getattr(given, "phases", {})
     tours = getattr(given, "tours", {})
     pickers = {fruit: name for name, own in tours.items() for tour in own for fruit in tour.order if fruit in picked}
@@ -134,5 +138,8 @@ def playable(result: Shown) -> tuple[Robot, Scene, Playback]:
     violations = tuple(violation for part in given.parts for violation in part.violations)
     whole = replace(least, verified=all(part.verified for part in given.parts), violations=violations, subject=None)
     scene = given.cell.task(given.trajectory.position[-1], given.trajectory.position[0])
-    motion = Playback(given.trajectory, picked, dropped, certificate=whole, arms=arms, frames=frames, pickers=pickers)
+    motion = Playback(
+        given.trajectory, picked, dropped, certificate=whole, arms=arms, frames=frames, pickers=pickers,
+        unpicked=unpicked,
+    )  # fmt: skip
     return given.cell.robot, scene, motion

@@ -81,7 +81,7 @@ def build_stage(robot: Robot, scene: Scene, playback: Playback) -> list[Json]:
         set_transform(ROOT, three.transform(position=-view.target)),
         set_object(f"{ROOT}/ground", framing.ground(view, floor)),
         *scenery.obstacles(scene),
-        *scenery.fruits(scene, goal=scene.goal.fruit if len(picks) < 2 else None),
+        *scenery.fruits(scene, scene.goal.fruit if len(picks) < 2 else None, playback.unpicked),
         *scenery.placed_movers(scene, playback.begin_s),
         *_draw_robot(robot, trajectory.position[0], "arm"),
     ]

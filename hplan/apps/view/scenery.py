@@ -11,6 +11,8 @@ import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Final
 
 import numpy as np
 import pinocchio as pin
@@ -71,6 +73,9 @@ BULK = Appearance(
     frozenset({"ground", "floor", "soil", "vehicle", "platform", "cart", "tractor", "trailer", "wall", "bin"}),
 )
 OTHER = Appearance("Obstacles", 0x7B5EA7, frozenset(), 0.85)
+
+#: Colours of fruits that are not picked, by reason.
+UNPICKED_COLORS: Final = {"out_of_reach": 0xAEB6BF, "blocked": 0xF29F05, "no_approach": 0xF2D64B, "no_motion": 0x7D6BA8}
 
 FRUIT_COLOR = 0xD7263D
 GOAL_FRUIT_COLOR = 0xFF3B2F
@@ -190,17 +195,18 @@ def _add_node(body: Body, item: AnyObstacle, look: Appearance) -> None:
             body.add(three.facets(*item.surface), surface, name=item.name)
 
 
-def fruits(scene: Scene, goal: str | None) -> list[Json]:
+def fruits(scene: Scene, goal: str | None, unpicked: Mapping[str, str] = MappingProxyType({})) -> list[Json]:
     """Commands that draw the fruits on the trees.
 
     Args:
         scene: The scene.
         goal: Name of the fruit to highlight; None for no highlight.
+        unpicked: Reason of each fruit that is not picked, by name; it decides the colour.
     """
     commands, movers = [], moving_nodes(scene)
     for fruit in scene.fruits:
         path = f"{movers[fruit.name]}/{node('fruit', fruit.name)}" if fruit.name in movers else _fruit_path(fruit)
-        commands.append(set_object(path, _fruit(fruit, is_goal=fruit.name == goal)))
+        commands.append(set_object(path, _fruit(fruit, unpicked.get(fruit.name), is_goal=fruit.name == goal)))
         commands.append(set_transform(path, three.transform(position=fruit.center)))
     return commands
 
@@ -209,9 +215,9 @@ def _fruit_path(fruit: Fruit) -> str:
     return f"{ROOT}/fruits/{node('fruit', fruit.name)}"
 
 
-def _fruit(fruit: Fruit, *, is_goal: bool) -> Body:
+def _fruit(fruit: Fruit, reason: str | None, *, is_goal: bool) -> Body:
     body = Body()
-    color = GOAL_FRUIT_COLOR if is_goal else FRUIT_COLOR
+    color = GOAL_FRUIT_COLOR if is_goal else UNPICKED_COLORS.get(reason or "", FRUIT_COLOR)
     body.add(three.sphere(fruit.radius), three.material(color, roughness=0.35), name=fruit.name)
     if is_goal:
         halo = three.material(HALO_COLOR, opacity=0.3, kind="MeshBasicMaterial", depthWrite=False)

@@ -1,6 +1,6 @@
 """A UR5 with a picking tube picks a measured tree's apples.
 
-It is on a platform, and drops each apple into a bin next to it.
+It is on a platform, and drops each apple into a bin next to it; measured fruit goes through the tube.
 
 pip install 'hplan[robots]'
 python scripts/examples/ur5_picking.py [TREE.csv] [FOLDER]
@@ -32,12 +32,14 @@ def ur5() -> hplan.Robot:
     return hplan.load_robot("ur5", tool_tube_m=0.18)
 
 
-def orchard(tree: str | None) -> Scene:
+def orchard(robot: hplan.Robot, tree: str | None) -> Scene:
     """The tree in front of the arm, and its apples within reach.
 
-    The arm is on a platform 70 cm above the ground.
+    The arm is on a platform 70 cm above the ground, as near to the tree as its folded start allows.
     """
     zone = FruitZone(low=-0.25, high=0.75, reach=0.95)
+    platform = Box(name="platform", center=(-0.2, 0.0, -0.36), size=(0.9, 0.7, 0.7))
+    bin_wall = Box(name="bin", center=(-0.1, 0.55, -0.25), size=(0.35, 0.35, 0.4))
     if tree is None:
         grown = OrchardOptions(
             name="grown tree", trees=1, distance=0.95, tree_height=1.8, first_branch=0.1, branches=16,
@@ -45,19 +47,22 @@ def orchard(tree: str | None) -> Scene:
         )  # fmt: skip
         stem = Capsule(name="stem", start=(0.95, 0.0, -0.7), end=(0.95, 0.0, 0.0), radius=0.03)  # down to the ground
         scene = generate(grown, start_deg=START_DEG)
-        scene = scene.with_obstacles([*scene.obstacles, stem])
-    else:
-        wood, hung = import_tree(tree)
-        # Wide trees are farther away: their branches end in front of the folded arm.
-        front = min(end[0] for piece in wood for end in piece.core if 0.3 <= end[2] <= 1.7)
-        stands = MeasuredOptions(
-            name=Path(tree).stem, distance=max(0.95, 0.4 - float(front)), height=-0.7, fruits=12, fruit_zone=zone,
-            fruit_radius=None if hung else 0.035,
+        return scene.with_obstacles([*scene.obstacles, stem, platform, bin_wall])
+    for distance in (0.95, 1.05, 1.15, 1.25, 1.35, 1.45):
+        measured = MeasuredOptions(
+            name=Path(tree).stem, distance=distance, height=-0.7, fruits=12, fruit_zone=zone, wood_yields=0.02,
+            fruit_yields=0.02, hangs_within=0.02, fruit_radius=None if bears_fruit(tree) else 0.035,
         )  # fmt: skip
-        scene = measured_orchard([tree], stands, start_deg=START_DEG)
-    platform = Box(name="platform", center=(-0.2, 0.0, -0.36), size=(0.9, 0.7, 0.7))
-    bin_wall = Box(name="bin", center=(-0.1, 0.55, -0.25), size=(0.35, 0.35, 0.4))
-    return scene.with_values(obstacles=(*scene.obstacles, platform, bin_wall))
+        scene = measured_orchard([tree], measured, start_deg=START_DEG)
+        scene = scene.with_obstacles([*scene.obstacles, platform, bin_wall])
+        if hplan.check(robot, scene, scene.start.configuration).valid:
+            break
+    return scene
+
+
+def bears_fruit(tree: str | None) -> bool:
+    """True if the file of a tree has fruit."""
+    return tree is not None and bool(import_tree(tree)[1])
 
 
 def main(tree: str | None = None, folder: str | None = None, most: int | None = None) -> hplan.TourResult:
@@ -68,9 +73,12 @@ def main(tree: str | None = None, folder: str | None = None, most: int | None = 
         folder: Output folder of CSV, report and page.
         most: Maximum number of apples; None for all.
     """
-    robot, scene, out = ur5(), orchard(tree), Path(tempfile.mkdtemp(prefix="hplan-") if folder is None else folder)
+    robot, out = ur5(), Path(tempfile.mkdtemp(prefix="hplan-") if folder is None else folder)
+    scene = orchard(robot, tree)
     names = [fruit.name for fruit in scene.fruits[:most]]
-    result = hplan.plan_tour(robot, scene, fruits=names, tour=hplan.TourOptions(drop_off=BIN, back=True))
+    # Balls about measured fruit overlap their wood, and cannot be carried clear of it: the tube takes them.
+    drop_off = None if bears_fruit(tree) else BIN
+    result = hplan.plan_tour(robot, scene, fruits=names, tour=hplan.TourOptions(drop_off=drop_off, back=True))
     out.mkdir(parents=True, exist_ok=True)
     hplan.write_csv(result.trajectory, out / "tour.csv")
     write_report(result.report, out / "tour.json")

@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
@@ -86,6 +87,10 @@ def _row(action: argparse.Action) -> str:
 # The reference.
 
 
+#: Names of `hplan` that come first in the reference.
+_FIRST = ("plan", "load_robot", "load_scene", "PlanOptions", "PlanResult", "certify", "Planner", "plan_tour", "finish")
+
+
 def public_names() -> dict[str, dict[str, str]]:
     """Paths of the public names by subpackage, with their modules.
 
@@ -100,6 +105,8 @@ def public_names() -> dict[str, dict[str, str]]:
             _take(rooms.setdefault(room, {}), seen, module, name)
     for module, name in sorted(_imported_by_docs()):
         _take(rooms.setdefault(".".join(module.split(".")[:2]), {}), seen, module, name)
+    first = [path for path in map("hplan.{}".format, _FIRST) if path in rooms["hplan"]]
+    rooms["hplan"] = dict.fromkeys(first, "hplan") | rooms["hplan"]
     return rooms
 
 
@@ -136,12 +143,25 @@ def code_blocks(page: str, *languages: str) -> list[tuple[str, str]]:
 
 
 def _reference_page(room: str, names: dict[str, str]) -> str:
-    """Return the page of a subpackage: its purpose, then its names."""
+    """Return the page of a subpackage: its purpose, a table of its names, and their entries."""
     doc = inspect.getdoc(importlib.import_module(room)) or ""
-    lines = [f"# {room}", "", doc, ""]
+    lines = [f"# {room}", "", doc, "", *_summary(names), ""]
     for path, module in names.items():
         lines += ["```{eval-rst}", *_entry(path, module), "```", ""]
     return "\n".join(lines)
+
+
+def _summary(names: dict[str, str]) -> list[str]:
+    """Return the table of names, each with the first line of its docstring."""
+    rows = []
+    for path, module in names.items():
+        name = path.rpartition(".")[2]
+        value = getattr(importlib.import_module(module), name)
+        is_named = inspect.isclass(value) or inspect.isfunction(value)
+        lines = (inspect.getdoc(value) or "").splitlines() if is_named else _comment(module, name)
+        words = (lines or [""])[0].replace("|", "\\|")
+        rows.append(f"| {{py:obj}}`{name} <{path}>` | {words} |")
+    return ["| name | |", "|---|---|", *rows]
 
 
 def _entry(path: str, module: str) -> list[str]:
@@ -180,6 +200,14 @@ def _write(path: Path, text: str) -> None:
     """Write a page if its text changed; Sphinx skips unchanged files."""
     if not path.is_file() or path.read_text(encoding="utf-8") != text:
         path.write_text(text, encoding="utf-8")
+
+
+def _plain_signature(
+    _app: Sphinx, _what: str, _name: str, _obj: Any, _options: Any, signature: str | None, returned: str | None
+) -> tuple[str | None, str | None]:
+    """Show aliases of types within other types by their names."""
+    plain = partial(re.sub, r"TypeAliasForwardRef\('(\w+)'\)", r"\1")
+    return signature and plain(signature), returned and plain(returned)
 
 
 def _as_rst(_app: Sphinx, what: str, _name: str, _obj: Any, _options: Any, lines: list[str]) -> None:
@@ -353,6 +381,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("builder-inited", write_reference)
     app.connect("builder-inited", write_gallery)
     app.connect("autodoc-process-docstring", _as_rst, priority=400)
+    app.connect("autodoc-process-signature", _plain_signature)
     app.connect("build-finished", check_links)
     app.connect("build-finished", check_widths)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

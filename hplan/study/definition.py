@@ -24,6 +24,7 @@ from hplan.scene.file import read_model
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import Name
 from hplan.scene.orchard import TUCKED_DEG, MeasuredOptions, measured_orchard
+from hplan.scene.robot_source import RobotSource
 
 #: Measurement of a design: pickable fruit at one stop; a tour at one stop; tours at stops along the tree row.
 Measure = Literal["reach", "tour", "row"]
@@ -42,43 +43,48 @@ class Arm(_StudyPart):
     """An arm, or a family of arms with varied specification values.
 
     Attributes:
-        robot: Robot name or URDF for `load_robot`.
+        robot: Robot name or URDF for `load_robot`, or its file with options (`RobotSource`), relative to the study's
+            folder.
         name: Name in the results; None for the robot's name.
         vary: Fields of `ArmSpec` with their values, in all combinations; only for `harvester`, `orchard_harvester` or a
             given `spec`. `lower_deg` and `upper_deg` set `lower` and `upper`.
         spec: A specification in place of the robot; None to use `robot`.
-        start_deg: Start configuration [deg]; the default is the tucked harvester.
+        start_deg: Start configuration [deg]; None for the tucked harvester, or for an arm of other joints a free one
+            that is found beside the trees.
     """
 
-    robot: Name = "orchard_harvester"
+    robot: Name | RobotSource = "orchard_harvester"
     name: Name | None = None
     vary: dict[str, tuple[Any, ...]] = Field(default_factory=dict)
     spec: ArmSpec | None = None
-    start_deg: tuple[float, ...] = TUCKED_DEG
+    start_deg: tuple[float, ...] | None = None
 
     @model_validator(mode="after")
     def _is_an_arm(self) -> Self:
-        if self.vary and self.spec is None and self.robot not in _SPECS:
+        if self.vary and self.spec is None and not (isinstance(self.robot, str) and self.robot in _SPECS):
             raise fault(f"only {' and '.join(_SPECS)} can be varied; write an ArmSpec for others", "vary")
         for key, values in self.vary.items():
             if not values:
                 raise fault("the list of values is empty", "vary", key)
         try:
             for _, robot in self.members():
-                _robot(robot).check_configuration([math.radians(value) for value in self.start_deg], "start_deg")
+                loaded = _robot(robot)
+                if self.start_deg is not None:
+                    loaded.check_configuration([math.radians(value) for value in self.start_deg], "start_deg")
         except (HplanError, TypeError) as error:
             raise fault(str(error)) from error
         return self
 
-    def members(self) -> Iterator[tuple[str, str | ArmSpec]]:
+    def members(self) -> Iterator[tuple[str, str | RobotSource | ArmSpec]]:
         """Iterate over the arms: name, and specification or `load_robot` argument.
 
         Raises:
             OptionError: `ArmSpec` refuses a value.
             TypeError: A key is not a field of `ArmSpec`.
         """
-        base = _SPECS.get(self.robot) if self.spec is None else self.spec
-        called = self.name or (self.robot if self.spec is None else self.spec.name)
+        given = self.robot if isinstance(self.robot, str) else Path(self.robot.urdf).name.partition(".")[0]
+        base = _SPECS.get(given) if self.spec is None and given == self.robot else self.spec
+        called = self.name or (given if self.spec is None else self.spec.name)
         if base is None or not (self.vary or self.spec):
             yield called, self.robot
             return
@@ -188,7 +194,9 @@ class Study(_StudyPart):
         Raises:
             InputError: A tree file cannot be read.
         """
-        arms = [(name, robot, arm.start_deg) for arm in self.arms for name, robot in arm.members()]
+        arms = [
+            (name, robot, arm.start_deg or _usual_start(robot)) for arm in self.arms for name, robot in arm.members()
+        ]
         places = itertools.product(arms, self.trees, self.distances, self.heights, self.turns_deg, self.yields)
         return tuple(
             Design(*arm, trees, distance, height, turn, yields, self.spacing, self.measure, self.effort)
@@ -201,8 +209,8 @@ class Design:
     """One arm in front of one tree row, measured as one row."""
 
     arm: str
-    spec: str | ArmSpec
-    start_deg: tuple[float, ...]
+    spec: str | RobotSource | ArmSpec
+    start_deg: tuple[float, ...] | None
     trees: tuple[Path, ...]
     distance: float
     height: float
@@ -238,15 +246,30 @@ class Design:
             InputError: A tree file is invalid.
             OptionError: A distance, height or rotation is out of range, or trees without fruit have no room for it.
         """
-        contents = tuple(map(_content_digest, self.trees))
-        return _scene(
-            contents, self.trees, self.distance, self.height, self.turn_deg, self.yields, self.spacing, self.start_deg
+        contents, dof = tuple(map(_content_digest, self.trees)), self.robot.dof
+        start_deg = self.start_deg or (0.0,) * dof
+        scene = _scene(
+            contents, self.trees, self.distance, self.height, self.turn_deg, self.yields, self.spacing, start_deg
         )
+        if self.start_deg is not None:
+            return scene
+        from hplan.planning.fitted_orchard import find_start, measure_workspace
+
+        return scene.with_values(start=find_start(self.robot, scene, measure_workspace(self.robot).far))
 
 
 @lru_cache(maxsize=64)
-def _robot(spec: str | ArmSpec) -> Robot:
-    return load_robot(spec) if isinstance(spec, str) else load_member(spec)
+def _robot(spec: str | RobotSource | ArmSpec) -> Robot:
+    return load_member(spec) if isinstance(spec, ArmSpec) else load_robot(spec)
+
+
+def _usual_start(spec: str | RobotSource | ArmSpec) -> tuple[float, ...] | None:
+    """The tucked harvester [deg]; None for arms of other joints."""
+    try:
+        _robot(spec).check_configuration([math.radians(value) for value in TUCKED_DEG], "start_deg")
+    except HplanError:
+        return None
+    return TUCKED_DEG
 
 
 def _content_digest(path: Path) -> str:

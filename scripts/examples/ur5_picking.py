@@ -48,7 +48,7 @@ def orchard(robot: hplan.Robot, tree: str | None) -> Scene:
         stem = Capsule(name="stem", start=(0.95, 0.0, -0.7), end=(0.95, 0.0, 0.0), radius=0.03)  # down to the ground
         scene = generate(grown, start_deg=START_DEG)
         return scene.with_obstacles([*scene.obstacles, stem, platform, bin_wall])
-    for distance in (0.95, 1.05, 1.15, 1.25, 1.35, 1.45):
+    for distance in (0.95, 1.05, 1.15, 1.25, 1.35, 1.45, 1.55, 1.7, 1.85, 2.0, 2.2):
         measured = MeasuredOptions(
             name=Path(tree).stem, distance=distance, height=-0.7, fruits=12, fruit_zone=zone, wood_yields=0.02,
             fruit_yields=0.02, hangs_within=0.02, fruit_radius=None if bears_fruit(tree) else 0.035,

@@ -14,6 +14,7 @@ from hplan.errors import InputError, OptionError
 from hplan.planning.fitted_orchard import find_start, grow_fitted, measure_workspace
 from hplan.robot.model import Robot
 from hplan.scene import Scene
+from hplan.study.definition import load_study
 
 pytestmark = pytest.mark.filterwarnings("ignore::hplan.errors.RobotFileWarning")
 
@@ -82,3 +83,23 @@ def test_row_is_written_planned_and_toured(tmp_path: Path, monkeypatch: pytest.M
     for words in ("plan orchard.yaml --quiet", "certify out orchard.yaml", "tour orchard.yaml --quiet --out tour",
                   "batch orchard.yaml --jobs 1 --quiet"):  # fmt: skip
         assert main(words.split()) == 0
+
+
+def test_study_takes_the_arm_and_the_written_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "own.urdf").write_text(six_axis_arm(), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    words = "orchard --robot own.urdf --tool-tube 0.15 --seed 3 --fruits 4 --trees 1 --quiet"
+    assert main(words.split()) == 0
+    scene = hplan.load_scene("orchard.yaml")
+    distance = next(one for one in scene.obstacles if one.name == "tree 1 trunk 1").start[0]
+    Path("study.yaml").write_text(
+        "{name: own, arms: [{robot: {urdf: own.urdf, tool_tube_m: 0.15}}], trees: [orchard.yaml], "
+        f"distances: [{distance}]}}\n"
+    )
+    (design,) = load_study("study.yaml").designs()
+    assert design.arm == "own"
+    found = {fruit.name: fruit.center for fruit in design.scene.fruits}
+    for fruit in scene.fruits:
+        np.testing.assert_allclose(found[fruit.name], fruit.center, atol=1e-3)
+    assert main(["study", "study.yaml", "--workers", "1", "--quiet"]) == 0
+    assert ",own," in (tmp_path / "out" / "study.csv").read_text()

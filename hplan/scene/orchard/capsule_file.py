@@ -11,7 +11,8 @@ from pathlib import Path
 
 from hplan.base.arguments import check_between, list_between
 from hplan.base.csv_file import CsvFile
-from hplan.errors import OptionError
+from hplan.errors import OptionError, SceneError
+from hplan.scene.file import load_scene
 from hplan.scene.limits import Vector
 from hplan.scene.model import Fruit
 from hplan.scene.obstacles import Capsule
@@ -49,6 +50,9 @@ def import_tree(
     ignored. Lengths are in metres, z is up. Capsules may touch and overlap. A row of the kind `fruit` repeats its
     centre.
 
+    A scene file (`.yaml`) is read as well: its capsules and fruits are one tree, with the mean of the trunks' feet as
+    the origin.
+
     Args:
         path: The file.
         position: Position of the file's origin [m].
@@ -71,6 +75,8 @@ def import_tree(
     turn = math.radians(check_between("yaw_deg", yaw_deg, -FARTHEST, FARTHEST))
     if not isinstance(prefix, str):
         raise OptionError("prefix", prefix, "text")
+    if Path(path).suffix in (".yaml", ".yml"):
+        return _tree_of_scene(Path(path), place, math.degrees(turn), prefix)
     file = CsvFile.read(path, "capsule", "capsule")
     header = [name.strip() for name in file.header]
     for name in _CSV_COLUMNS:
@@ -91,6 +97,23 @@ def import_tree(
         else:
             capsules.append(capsule(name, start, end, numbers[6]))
     return tuple(capsules), tuple(fruits)
+
+
+def _tree_of_scene(
+    path: Path, place: tuple[float, ...], yaw_deg: float, prefix: str
+) -> tuple[tuple[Capsule, ...], tuple[Fruit, ...]]:
+    """Capsules and fruits of a scene, as those of a tree."""
+    scene = load_scene(path)
+    wood = [one for one in scene.obstacles if isinstance(one, Capsule)]
+    feet = [one.start for one in wood if one.name.endswith("trunk 1")]
+    if not feet:
+        raise SceneError("it has no tree: no obstacle is called 'trunk 1' or 'tree 1 trunk 1'", path=path)
+    x, y, z = (sum(axis) / len(feet) for axis in zip(*feet, strict=True))
+    trees = scene.copy_unchecked({"obstacles": tuple(wood)}).shift((-x, -y, -z)).shift(place, yaw_deg)
+    named = [one.copy_unchecked({"name": prefix + one.name}) for one in (*trees.obstacles, *trees.fruits)]
+    return tuple(one for one in named if isinstance(one, Capsule)), tuple(
+        one for one in named if isinstance(one, Fruit)
+    )
 
 
 def _check_row(file: CsvFile, line: int, kind: str, numbers: list[float]) -> None:

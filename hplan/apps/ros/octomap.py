@@ -63,8 +63,8 @@ def read_octomap(
     Examples:
         >>> message = {"binary": True, "id": "OcTree", "resolution": 0.1, "data": [3, 0] * 15 + [2, 0]}
         >>> (box,) = read_octomap(message)
-        >>> [round(value, 6) for value in box.center], box.size
-        ([-3276.75, -3276.75, -3276.75], (0.1, 0.1, 0.1))
+        >>> np.round([*box.center, *box.size], 6).tolist()
+        [-3276.75, -3276.75, -3276.75, 0.1, 0.1, 0.1]
     """
     check_integer("depth", depth, 1, _DEPTH)
     text("name", name, "the prefix of the names")

@@ -88,7 +88,7 @@ class Robot(Record):
         may_touch: Pairs of links that may touch, with the reason: SRDF, Drake filter groups, or neighbouring links.
         owners: Arm of each link by link name, for several arms joined to one robot; empty for a single robot.
         assumptions: Values that no file gives, and what was assumed instead.
-        unturned: The robot as it was loaded, if the ranges of continuous joints are about a configuration (`about`).
+        turns: (dof,) whole turns by which the ranges of continuous joints are shifted (`about`); empty for none.
         shape_faults: Drawn links whose collision shapes are missing or do not fit (`hplan.robot.drawn_links`).
     """
 
@@ -112,7 +112,7 @@ class Robot(Record):
     owners: Mapping[str, str] = field(default_factory=dict)
     shape_faults: tuple[ShapeFault, ...] = ()
     assumptions: tuple[str, ...] = ()
-    unturned: Robot | None = field(default=None, repr=False)
+    turns: tuple[float, ...] = ()
 
     def __repr__(self) -> str:
         joints = ", ".join(self.joint_names)
@@ -260,7 +260,7 @@ class Robot(Record):
 
         For values that whole turns of joints do not change, and that all of these robots share.
         """
-        return self.unturned or self
+        return self.cache("loaded", lambda: self._turned(-np.array(self.turns))) if self.turns else self
 
     def about(self, q: ArrayLike) -> Robot:
         """Return the robot with the ranges of continuous joints shifted by whole turns to those about a configuration.
@@ -286,13 +286,18 @@ class Robot(Record):
         if not (usable and self.continuous.any() and (np.abs(values) <= FARTHEST_JOINT).all()):
             return loaded
         turns = np.where(self.continuous, np.rint(np.round(values / math.tau, 9)), 0.0)
-        return loaded.cache(("about", *turns.tolist()), lambda: loaded._turned(turns)) if turns.any() else loaded
+        if not turns.any():
+            return loaded
+        found = loaded.cache(("about", *turns.tolist()), lambda: loaded._turned(turns))
+        found.cache("loaded", lambda: loaded)
+        return found
 
     def _turned(self, turns: FloatArray) -> Robot:
         """The robot with the ranges of its joints shifted by (dof,) whole turns."""
         lower, upper, model = self.lower + math.tau * turns, self.upper + math.tau * turns, self.model.copy()
         model.lowerPositionLimit, model.upperPositionLimit = lower, upper
-        return replace(self, model=model, lower=readonly(lower), upper=readonly(upper), unturned=self)
+        after = () if self.turns else tuple(turns.tolist())
+        return replace(self, model=model, lower=readonly(lower), upper=readonly(upper), turns=after)
 
     def turned_near(self, q: ArrayLike, start: ArrayLike) -> ArrayLike:
         """Shift continuous joints by whole turns to the values nearest a start.

@@ -222,7 +222,7 @@ def test_certificate_report_and_page_name_uncovered_shapes():
     report = certificate_report(again, hplan.PlanOptions(), scene)
     assert report["uncovered_links"] == ["l3"]
     assert result.report["certificate"]["uncovered_links"] == ["l3"]
-    assert "not covered, because drawn without a matching collision shape: l3" in certificate_words(again)[1]
+    assert "Not covered, because drawn without a matching collision shape: l3" in certificate_words(again)[1]
     # With shapes from the visual the same motion is refused.
     covered, _ = loaded(arm({3: SEEN}), collision_from_visual=True, allow_neighbours=True)
     refused = hplan.certify(covered, scene, result.trajectory)

@@ -383,6 +383,7 @@ def test_mesh_that_is_nowhere(tmp_path):
     folder = tmp_path / "1" / "2" / "3" / "4" / "5"
     folder.mkdir(parents=True)
     (folder / "robot.urdf").write_text(MESH)
+    (tmp_path / "given").mkdir()
     with pytest.raises(RobotFileError) as caught:
         load_robot(folder / "robot.urdf", limits=LIMITS, package_dirs=[tmp_path / "given"])
     for word in ("package://arm_description/meshes/hand.stl", str(tmp_path / "given"), str(folder), "--package-dir"):

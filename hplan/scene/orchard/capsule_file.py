@@ -9,7 +9,7 @@ import math
 from collections import Counter
 from pathlib import Path
 
-from hplan.base.arguments import check_between, list_between
+from hplan.base.arguments import check_between, file_path, list_between
 from hplan.base.csv_file import CsvFile
 from hplan.errors import OptionError, SceneError
 from hplan.scene.file import load_scene
@@ -75,8 +75,9 @@ def import_tree(
     turn = math.radians(check_between("yaw_deg", yaw_deg, -FARTHEST, FARTHEST))
     if not isinstance(prefix, str):
         raise OptionError("prefix", prefix, "text")
-    if Path(path).suffix in (".yaml", ".yml"):
-        return _tree_of_scene(Path(path), place, math.degrees(turn), prefix)
+    source = file_path("path", path)
+    if source.suffix in (".yaml", ".yml"):
+        return _tree_of_scene(source, place, math.degrees(turn), prefix)
     file = CsvFile.read(path, "capsule", "capsule")
     header = [name.strip() for name in file.header]
     for name in _CSV_COLUMNS:

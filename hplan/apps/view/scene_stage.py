@@ -53,7 +53,7 @@ APPROACH_COLOR = 0xF08A1D
 _RINGS, _RING_SPACING = 900, 0.02
 
 #: Maximum number of triangles of an arm's meshes; a page takes about 400 bytes for each of them.
-_MOST_TRIANGLES = 8_000
+_MOST_TRIANGLES = 6_000
 
 #: Markers have their full size at arms with at least this reach, and shrink with smaller ones [m].
 _FULL_SIZE_REACH = 0.8

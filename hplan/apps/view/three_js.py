@@ -22,6 +22,9 @@ Json: TypeAlias = dict[str, Any]
 #: Meshes are not simplified to fewer triangles.
 _FEWEST_TRIANGLES = 12
 
+#: Number of halvings of the interval in which the size of the cells lies.
+_BISECTIONS = 12
+
 #: Number of segments around a round body.
 _SEGMENTS = 48
 
@@ -250,21 +253,23 @@ def simplify_mesh(vertices: FloatArray, faces: IntArray, share: float) -> tuple[
     most = max(_FEWEST_TRIANGLES, round(share * len(faces)))
     if len(faces) <= most:
         return vertices, faces
-    low, size = 0.0, float(np.ptp(vertices, axis=0).max())
-    found, step = (vertices, faces), size
-    for _ in range(16):
-        cell = 0.5 * (low + step)
-        keys = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
-        cell_of = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+    low, high = 0.0, float(np.ptp(vertices, axis=0).max())
+    offset, found = vertices - vertices.min(axis=0), (vertices, faces)
+    for _ in range(_BISECTIONS):
+        cell = 0.5 * (low + high)
+        x, y, z = np.floor(offset / cell).astype(np.int64).T
+        width = int(1 + max(x.max(), y.max(), z.max()))
+        cell_of = np.unique((x * width + y) * width + z, return_inverse=True)[1].ravel()
         merged = cell_of[faces]
-        merged = merged[(np.diff(np.sort(merged, axis=1), axis=1) > 0).all(axis=1)]
-        merged = merged[np.unique(np.sort(merged, axis=1), axis=0, return_index=True)[1]]
+        a, b, c = np.sort(merged, axis=1).T
+        count = int(cell_of.max()) + 1
+        kept = np.flatnonzero((a < b) & (b < c))
+        merged = merged[kept[np.unique((a[kept] * count + b[kept]) * count + c[kept], return_index=True)[1]]]
         if len(merged) > most:
             low = cell
             continue
-        step = cell
-        means = np.zeros((cell_of.max() + 1, 3))
-        np.add.at(means, cell_of, vertices)
+        high = cell
+        means = np.stack([np.bincount(cell_of, axis) for axis in vertices.T], axis=1)
         found = means / np.bincount(cell_of)[:, None], merged
     return found
 

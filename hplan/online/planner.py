@@ -1,8 +1,8 @@
 """A planner that replans as the scene changes.
 
-Obstacles appear, move and disappear. State that does not change is reused between plans: the robot's planar layers (a
-layer is recomputed only if the obstacle cross-section in the arm plane has changed), and the motion itself while it can
-still be certified. Every returned motion is certified among the current obstacles.
+Obstacles appear, move and disappear. State that does not change is reused between plans: what was prepared for the same
+obstacles, and the motion itself while it can still be certified. Every returned motion is certified among the current
+obstacles.
 """
 
 from __future__ import annotations

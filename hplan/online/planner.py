@@ -592,8 +592,7 @@ class Planner:
         """
         if all(item is not self._closing for item in scene.obstacles):
             return
-        given = self.robot.joints_of(scene.start, "start")
-        start = self.robot.about(given).check_configuration(given, "start")
+        _, start = self.robot.about_start(scene.start)
         if self._space is None or not self._space.holds(arm_solids(self.robot, start), self._known_since_s):
             raise InputError("start: the arm is in unseen space, and unknown space is solid: give a frame with the "
                 "joint positions of the arm there", option="start")  # fmt: skip

@@ -66,9 +66,7 @@ class Problem(Record):
             InputError: The scene's start is not a configuration of the robot.
             JointLimitError: The start violates the joint limits.
         """
-        given = robot.joints_of(scene.start, "start")
-        robot = robot.about(given)
-        start = robot.check_configuration(given, "start")
+        robot, start = robot.about_start(scene.start)
         movable = np.flatnonzero(~robot.locked_mask(scene.locked_joints))
         rows, nothing = frozen(np.zeros((0, robot.dof))), frozen(np.zeros(0))
         effort = efforts_of(presets_of(robot), options)[-1]

@@ -277,13 +277,8 @@ class Robot(Record):
             >>> robot.about([7.0, 0.0, 0.0, 0.0]) is robot  # its yaw has limits
             True
         """
-        loaded = self.loaded
-        try:
-            values = np.array(as_array(q))
-        except ValueError:
-            return loaded
-        usable = values.shape == (self.dof,) and values.dtype.kind in "fiu" and np.isfinite(values).all()
-        if not (usable and self.continuous.any() and (np.abs(values) <= FARTHEST_JOINT).all()):
+        loaded, values = self.loaded, self._values_to_turn(q)
+        if values is None or (np.abs(values) > FARTHEST_JOINT).any():
             return loaded
         turns = np.where(self.continuous, np.rint(np.round(values / math.tau, 9)), 0.0)
         if not turns.any():
@@ -291,6 +286,23 @@ class Robot(Record):
         found = loaded.cache(("about", *turns.tolist()), lambda: loaded._turned(turns))
         found.cache("loaded", lambda: loaded)
         return found
+
+    def about_start(self, start: Start) -> tuple[Robot, FloatArray]:
+        """Return the robot with ranges about a scene's start (`about`), and the (dof,) start configuration.
+
+        Raises:
+            InputError: The start is not a configuration of the robot.
+            JointLimitError: The start violates the joint limits.
+
+        Examples:
+            >>> from hplan import load_robot, load_scene
+            >>> robot, q = load_robot().about_start(load_scene().start)
+            >>> q.shape
+            (4,)
+        """
+        given = self.joints_of(start, "start")
+        robot = self.about(given)
+        return robot, robot.check_configuration(given, "start")
 
     def _turned(self, turns: FloatArray) -> Robot:
         """The robot with the ranges of its joints shifted by (dof,) whole turns."""
@@ -310,20 +322,25 @@ class Robot(Record):
             q: (dof,) configuration.
             start: (dof,) configuration.
         """
-        try:
-            values = np.array(as_array(q))
-        except ValueError:
+        values = self._values_to_turn(q)
+        if values is None:
             return q
-        usable = values.shape == (self.dof,) and values.dtype.kind in "fiu" and np.isfinite(values).all()
-        if not (usable and self.continuous.any()):
-            return q
-        values, near = values.astype(np.float64), np.asarray(start, dtype=np.float64)
+        near = np.asarray(start, dtype=np.float64)
         for joint in np.flatnonzero(self.continuous).tolist():
             first = math.ceil((self.lower[joint] - values[joint] - 1e-9) / math.tau)
             last = math.floor((self.upper[joint] - values[joint] + 1e-9) / math.tau)
             turns = min(max(round((near[joint] - values[joint]) / math.tau), first), last)
             values[joint] += math.tau * turns
         return values
+
+    def _values_to_turn(self, q: ArrayLike) -> FloatArray | None:
+        """A copy of a (dof,) configuration; None if it is invalid, or no joint is continuous."""
+        try:
+            values = np.array(as_array(q))
+        except ValueError:
+            return None
+        usable = values.shape == (self.dof,) and values.dtype.kind in "fiu" and np.isfinite(values).all()
+        return values.astype(np.float64) if usable and self.continuous.any() else None
 
     @overload
     def joints_of(self, values: Start, which: str) -> FloatArray: ...

@@ -56,8 +56,7 @@ class LiveScene:
         with extra("viser", "a live view needs viser"):
             import viser
             from pinocchio.visualize import ViserVisualizer
-        robot = robot.about(robot.joints_of(scene.start, "start"))
-        start = robot.check_configuration(robot.joints_of(scene.start, "start"), "start")
+        robot, start = robot.about_start(scene.start)
         self._robot = robot
         self.server: Any = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
         self.url = f"http://127.0.0.1:{self.server.get_port()}"

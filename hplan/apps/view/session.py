@@ -53,9 +53,9 @@ class Session:
             InputError: The start does not fit the robot.
             OptionError: An argument has another type.
         """
-        start = instance("robot", robot, Robot, "load_robot").joints_of(instance("scene", scene, Scene).start, "start")
-        self.robot = robot.about(start)
-        self.q: FloatArray = self.robot.check_configuration(start, "start")
+        instance("robot", robot, Robot, "load_robot")
+        self.robot, start = robot.about_start(instance("scene", scene, Scene).start)
+        self.q: FloatArray = start
         self.scene = scene.snapshot(0.0) if scene.moves else scene
         self.result: PlanResult | None = None
         self._options = PlanOptions() if options is None else instance("options", options, PlanOptions)

@@ -53,6 +53,7 @@ class Inspection:
     Attributes:
         path: The URDF or xacro file.
         name: Name of the robot; the file's if it has none.
+        urdf: Content of the file.
         faults: All faults that prevent loading, each with its line and remedy.
         warnings: What was read differently than it is written, or is not covered.
         joints: The joints that move, from the base on; if the robot cannot be loaded, those up to `tool_frame`.
@@ -66,6 +67,7 @@ class Inspection:
 
     path: Path
     name: str
+    urdf: Urdf
     faults: tuple[str, ...]
     warnings: tuple[str, ...]
     joints: tuple[Joint, ...]
@@ -106,6 +108,7 @@ def inspect_robot(path: Path | str, *, tool_frame: str | None = None, **options:
     return Inspection(
         files.urdf,
         str(root.get("name") or files.urdf.name),
+        urdf,
         faults,
         messages or tuple(read.mended),
         tuple(joints),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from hplan.apps.cli.options import add_shared, command_parser, robot_of, robot_options, source_of
 from hplan.apps.cli.own_files import check_own
@@ -119,19 +119,12 @@ def _missing_limits(arguments: argparse.Namespace) -> str | None:
     source = source_of(arguments)
     if not hasattr(source, "urdf") or arguments.limits is not None or arguments.acceleration_scale is not None:
         return None
-    from hplan.robot.faults import Faults
-    from hplan.robot.files import robot_files
     from hplan.robot.inspection import inspect_robot, limits_template
-    from hplan.robot.urdf_file import read_urdf
-    from hplan.robot.urdf_xml import read_urdf_xml
 
-    options: dict[str, Any] = robot_options(arguments)
-    found = inspect_robot(arguments.robot, **options)
+    found = inspect_robot(arguments.robot, **robot_options(arguments))
     if found.robot is None:
         robot_of(arguments)  # raises the faults
         return None
     if not found.faults and not found.robot.assumptions:
         return None
-    path = robot_files(arguments.robot).urdf
-    root = read_urdf_xml(path, None, options["package_dirs"], options["xacro_args"])
-    return limits_template(found.name, read_urdf(path, root, faults=Faults(path)), found.joints)
+    return limits_template(found.name, found.urdf, found.joints)

@@ -59,32 +59,21 @@ def parser(prog: str) -> argparse.ArgumentParser:
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Inspect the file, write what was requested; return the exit status."""
     from hplan.base.files import YAML_COMMENT, write_marked
-    from hplan.robot.files import robot_files
     from hplan.robot.inspection import inspect_robot, limits_template, repair_urdf
-    from hplan.robot.urdf_file import read_urdf
-    from hplan.robot.urdf_xml import read_urdf_xml
 
     for option in ("write_limits", "repair", "picture"):
         if getattr(arguments, option) is not None:
             check_output_file(getattr(arguments, option), f"--{option.replace('_', '-')}", force=arguments.force)
-    folders, xacro_args = arguments.package_dir, xacro_arguments(arguments)
-    options: dict[str, Any] = {"package_dirs": folders, "xacro_args": xacro_args}
-    found = inspect_robot(
-        arguments.robot,
-        **robot_options(arguments),
-    )
+    found = inspect_robot(arguments.robot, **robot_options(arguments))
     if not arguments.quiet:
         _show_findings(console, found)
     written = list[Path]()
-    path = robot_files(arguments.robot).urdf
     if arguments.write_limits is not None:
-        from hplan.robot.faults import Faults
-
-        urdf = read_urdf(path, read_urdf_xml(path, None, folders, xacro_args), faults=Faults(path))
-        text = limits_template(found.name, urdf, found.joints)
+        text = limits_template(found.name, found.urdf, found.joints)
         written.append(write_marked(arguments.write_limits, text, YAML_COMMENT))
     if arguments.repair is not None:
-        written.append(_repair(arguments, console, *repair_urdf(path, arguments.repair, **options)))
+        options = {"package_dirs": arguments.package_dir, "xacro_args": xacro_arguments(arguments)}
+        written.append(_repair(arguments, console, *repair_urdf(found.path, arguments.repair, **options)))
     if arguments.picture is not None:
         if found.robot is None:
             raise InputError(f"{arguments.picture}: an arm that cannot be loaded cannot be drawn")

@@ -16,7 +16,6 @@ import numpy as np
 from hplan.apps.view.live import LiveScene
 from hplan.apps.view.session import Session, contact_words
 from hplan.base.arrays import FloatArray
-from hplan.base.units import joint_unit
 from hplan.errors import HplanError
 from hplan.scene.model import Fruit, Goal
 from hplan.scene.obstacles import AnyObstacle
@@ -125,7 +124,7 @@ class Gui(LiveScene):
         self.update(f"Saved: {self.session.save(self._path.value, replaces=self._replaces.value)}.")
 
     def _add_slider(self, joint: int) -> Any:
-        robot, unit = self.session.robot, joint_unit(self.session.robot.slides[joint])
+        robot, unit = self.session.robot, self.session.robot.units[joint]
         low, high, value = (unit.factor * float(values[joint]) for values in (robot.lower, robot.upper, self.session.q))
         slider = self.server.gui.add_slider(
             f"{robot.joint_names[joint]} [{unit.shown}]", min=low, max=high, step=(high - low) / 1000.0,
@@ -136,12 +135,12 @@ class Gui(LiveScene):
 
     def _set_sliders(self) -> None:
         for joint, slider in enumerate(self._sliders):
-            slider.value = joint_unit(self.session.robot.slides[joint]).factor * float(self.session.q[joint])
+            slider.value = self.session.robot.units[joint].factor * float(self.session.q[joint])
 
     @_action
     def _move_joints(self) -> None:
-        factors = [joint_unit(slides).factor for slides in self.session.robot.slides]
-        self.session.set_joints([slider.value / factor for slider, factor in zip(self._sliders, factors, strict=True)])
+        units = self.session.robot.units
+        self.session.set_joints([slider.value / unit.factor for slider, unit in zip(self._sliders, units, strict=True)])
         self.update()
 
     @_action

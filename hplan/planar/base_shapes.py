@@ -124,12 +124,11 @@ def turning_shapes(robot: Robot) -> tuple[BaseShape, ...]:
 
 
 def _base_shape(robot: Robot, number: int) -> BaseShape:
+    family = family_of(robot)
     shape = robot.collision_model.geometryObjects[number]
     placement = robot.model.jointPlacements[shape.parentJoint] * shape.placement
-    axis = np.append(family_of(robot).yaw_axis, 0.0)
-    is_round = family_of(robot).has_yaw and _is_round(
-        shape.geometry, pin.SE3(placement.rotation, placement.translation - axis)
-    )
+    axis = np.append(family.yaw_axis, 0.0)
+    is_round = family.has_yaw and _is_round(shape.geometry, pin.SE3(placement.rotation, placement.translation - axis))
     points, rounding = outline(shape, rim_from_outside=not is_round)
     return BaseShape(
         number=number,

@@ -30,6 +30,7 @@ from hplan.errors import OptionError, UnreachableError
 from hplan.kinematics.approach_angles import Candidates, Window
 from hplan.planar.chain import ANGLE_TOLERANCE, MATCH_TOLERANCE, FreeChain, Reached
 from hplan.planar.family_reader import family_of
+from hplan.planar.planar_family import PlanarFamily
 from hplan.robot.model import Robot
 
 #: Default number of samples between the ends of continua.
@@ -130,9 +131,14 @@ class _ReachTask:
         return cls(robot, target, window, robot.check_configuration(start, "start"), held)
 
     @cached_property
+    def family(self) -> PlanarFamily:
+        """The arm's planar chain."""
+        return family_of(self.robot)
+
+    @cached_property
     def free(self) -> tuple[int, ...]:
         """Indices of the planar joints that are not locked."""
-        return tuple(np.flatnonzero(~self.held[family_of(self.robot).arm_slice]).tolist())
+        return tuple(np.flatnonzero(~self.held[self.family.arm_slice]).tolist())
 
     @property
     def grid_joints(self) -> tuple[int, ...]:
@@ -147,18 +153,15 @@ class _ReachTask:
     @cached_property
     def views(self) -> _Views:
         """Arm planes that contain the position, at yaws beyond the limits too."""
-        robot = self.robot
-        if not family_of(robot).has_yaw or self.held[0]:
-            yaw = family_of(robot).yaw_of(self.rest)
-            origin, axes = family_of(robot).plane_at(yaw)
+        robot, family = self.robot, self.family
+        if not family.has_yaw or self.held[0]:
+            yaw = family.yaw_of(self.rest)
+            origin, axes = family.plane_at(yaw)
             place = axes @ (self.position - origin)
             return _Views(np.array([yaw]), place[:1] + 1j * place[1:2], abs(float(place[2])))
-        (fx, fy), height = (
-            family_of(robot).plane_axes[0, :2],
-            self.position[2] - family_of(robot).plane_origin[2],
-        )
-        ahead, across = family_of(robot).shoulder_from_axis
-        x, y = self.position[:2] - family_of(robot).yaw_axis
+        (fx, fy), height = family.plane_axes[0, :2], self.position[2] - family.plane_origin[2]
+        ahead, across = family.shoulder_from_axis
+        x, y = self.position[:2] - family.yaw_axis
         distance = float(np.hypot(x, y))
         yaws: FloatArray
         # A point this close to the yaw axis counts as on the axis [m].
@@ -175,7 +178,7 @@ class _ReachTask:
     @property
     def yaw_excess(self) -> FloatArray:
         """(v,) violation of the yaw range by each view [rad]."""
-        if not family_of(self.robot).has_yaw:
+        if not self.family.has_yaw:
             return np.zeros(1)
         yaw, lower, upper = self.views.yaw, self.robot.lower[0], self.robot.upper[0]
         excess: FloatArray = np.maximum(np.minimum(yaw - upper, lower + math.tau - yaw), 0.0)
@@ -184,11 +187,7 @@ class _ReachTask:
     @cached_property
     def chain(self) -> FreeChain:
         """The chain from the first non-grid free joint on."""
-        return FreeChain.build(
-            family_of(self.robot).arm,
-            self.free[len(self.grid_joints) :],
-            self.rest[family_of(self.robot).arm_slice],
-        )
+        return FreeChain.build(self.family.arm, self.free[len(self.grid_joints) :], self.rest[self.family.arm_slice])
 
     def relative_position(self, base: FloatArray, views: IntArray) -> tuple[ComplexArray, FloatArray]:
         """Return the position relative to the chain, for base joints and views.
@@ -198,7 +197,7 @@ class _ReachTask:
         Returns:
             (b * v,) points and (b * v,) turns for `FreeChain.reach`.
         """
-        arm = family_of(self.robot).arm
+        arm = self.family.arm
         first = self.chain.free[0] if self.chain.free else arm.link_count
         if first == 0:
             return self.views.point[views], np.zeros(len(views))
@@ -226,11 +225,7 @@ class _ReachTask:
 
         Locked joints keep their values.
         """
-        rest, gridded, arm = (
-            self.rest[family_of(self.robot).arm_slice],
-            list(self.grid_joints),
-            family_of(self.robot).arm,
-        )
+        rest, gridded, arm = self.rest[self.family.arm_slice], list(self.grid_joints), self.family.arm
         if not gridded:
             return [rest[None]]
         grids: list[FloatArray] = []
@@ -247,11 +242,11 @@ class _ReachTask:
 
     def _assemble(self, found: Reached, base: FloatArray, views: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return sorted, distinct full configurations, and their angles of the last link."""
-        robot, shift = self.robot, self.robot.dof - family_of(self.robot).arm.link_count
+        robot, shift = self.robot, self.robot.dof - self.family.arm.link_count
         q = np.empty((len(found.point), robot.dof))
         q[:, shift:] = base[found.point // len(views)]
         q[:, [shift + joint for joint in self.chain.free]] = found.joints
-        if family_of(robot).has_yaw:
+        if self.family.has_yaw:
             yaw = np.minimum(self.views.yaw[views], robot.upper[0])
             q[:, 0] = np.maximum(yaw, robot.lower[0])[found.point % len(views)]
         direction = found.direction
@@ -333,12 +328,12 @@ def _locked_reason(task: _ReachTask) -> UnreachableError:
 
 def _arm_reason(task: _ReachTask) -> UnreachableError:
     """Return the error for a position that this arm cannot reach."""
-    lengths, points = family_of(task.robot).arm.lengths, task.views.point
+    lengths, points = task.family.arm.lengths, task.views.point
     if task.views.distance > MATCH_TOLERANCE:
         distance = task.views.distance
-        across = f"{abs(family_of(task.robot).shoulder_from_axis[1]):.6g} m"
+        across = f"{abs(task.family.shoulder_from_axis[1]):.6g} m"
         where = f"closer to the yaw axis than the arm plane, whose distance from the axis is {across}"
-        detail = f"it is {distance:.6g} m {where if family_of(task.robot).has_yaw else 'from the arm plane'}"
+        detail = f"it is {distance:.6g} m {where if task.family.has_yaw else 'from the arm plane'}"
         return _unreachable(task, "off_plane", detail, beside_m=distance)
     farthest = float(lengths.sum())
     nearest = max(0.0, 2.0 * float(lengths.max()) - farthest)
@@ -356,7 +351,7 @@ def _arm_reason(task: _ReachTask) -> UnreachableError:
             excess_m=short,
         )
     if task.grid_joints:  # the grid search is inconclusive
-        names = [family_of(task.robot).arm.joint_names[joint] for joint in task.grid_joints]
+        names = [task.family.arm.joint_names[joint] for joint in task.grid_joints]
         detail = f"no configuration with {', '.join(names)} at grid values"
         return _unreachable(task, "not_found", detail, joints=names)
     return _limit_reason(task)
@@ -367,12 +362,12 @@ def _limit_reason(task: _ReachTask) -> UnreachableError:
 
     The solution with the minimum total violation determines them.
     """
-    robot, shift = task.robot, task.robot.dof - family_of(task.robot).arm.link_count
+    robot, shift = task.robot, task.robot.dof - task.family.arm.link_count
     views = np.arange(len(task.views.yaw))
     points, _ = task.relative_position(task.grids()[0], views)
     index, q, excess = task.chain.violations(points)
     joints = [shift + joint for joint in task.chain.free]
-    if family_of(robot).has_yaw:
+    if task.family.has_yaw:
         yaw = task.views.yaw
         out = yaw - np.where(yaw - robot.upper[0] > robot.lower[0] + math.tau - yaw, math.tau, 0.0)
         view = index % len(views)

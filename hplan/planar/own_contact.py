@@ -75,16 +75,13 @@ def within_bodies(robot: Robot) -> Robot | None:
 
 def _is_along(robot: Robot, link: int, body: CollisionBody) -> bool:
     """True if a body is a capsule from end to end of a link's axis."""
-    if body.kind != "capsule" or body.joint != family_of(robot).arm_slice.start + link:
+    family = family_of(robot)
+    if body.kind != "capsule" or body.joint != family.arm_slice.start + link:
         return False
-    arm, plane = family_of(robot).arm, np.cross(*family_of(robot).plane_axes)
+    arm, plane = family.arm, np.cross(*family.plane_axes)
     data, q = robot.model.createData(), np.zeros(robot.dof)
     pin.forwardKinematics(robot.model, data, q)
-    points = (
-        family_of(robot).plane_origin
-        + arm.joint_points(q[family_of(robot).arm_slice]) @ family_of(robot).plane_axes
-        + arm.lateral[link] * plane
-    )
+    points = family.plane_origin + arm.joint_points(q[family.arm_slice]) @ family.plane_axes + arm.lateral[link] * plane
     place = data.oMi[body.joint + 1]
     core = body.core @ place.rotation.T + place.translation
     ends = points[link : link + 2]

@@ -68,11 +68,8 @@ def self_contact(robot: Robot, *, deviation: float = 0.0, clearance: float = 0.0
 
 
 def _decide_contact(robot: Robot, deviation: float, clearance: float) -> SelfContact:
-    arm = replace(
-        family_of(robot).arm,
-        lower=family_of(robot).arm.lower - deviation,
-        upper=family_of(robot).arm.upper + deviation,
-    )
+    arm = family_of(robot).arm
+    arm = replace(arm, lower=arm.lower - deviation, upper=arm.upper + deviation)
     return SelfContact(
         links=_planar_link_pairs(arm, clearance),
         bodies=tuple(_bodies(robot, arm, deviation, clearance)),
@@ -134,14 +131,15 @@ def _planar_link_pairs(arm: PlanarArm, clearance: float) -> tuple[tuple[int, int
 
 def _bodies(robot: Robot, arm: PlanarArm, deviation: float, clearance: float) -> list[BaseShape]:
     """Shapes of turret and pedestal that some link can touch."""
+    family = family_of(robot)
     found = []
-    normal = np.cross(*family_of(robot).plane_axes)
+    normal = np.cross(*family.plane_axes)
     for shape in base_shapes(robot):
-        still_in_plane = not shape.is_round and (shape.carrier == TURRET or not family_of(robot).has_yaw)
+        still_in_plane = not shape.is_round and (shape.carrier == TURRET or not family.has_yaw)
         core = shape.core if still_in_plane else _swept(shape)
         # The shape's projection onto the arm plane contains its section at every yaw.
-        shadow = convex_hull((core - family_of(robot).plane_origin) @ family_of(robot).plane_axes.T)
-        aside = (core - family_of(robot).plane_origin) @ normal
+        shadow = convex_hull((core - family.plane_origin) @ family.plane_axes.T)
+        aside = (core - family.plane_origin) @ normal
         touching: list[int] = []
         for link in range(arm.link_count):
             radius = shape.rounding + float(arm.half_widths[link])
@@ -167,14 +165,15 @@ def is_held(robot: Robot, shape: BaseShape, deviation: float, link: int, clearan
     A link of half-width w starts at most the sum of the preceding lengths from the shoulder. It therefore always
     touches a shape within w minus that sum of the shoulder, taken at the link's lateral offset from the plane.
     """
-    arm = family_of(robot).arm
+    family = family_of(robot)
+    arm = family.arm
     level = float(arm.half_widths[link] - arm.lengths[:link].sum()) + clearance
     if level < 0.0:
         return False
-    shoulder = family_of(robot).plane_origin + arm.lateral[link] * np.cross(*family_of(robot).plane_axes)
-    if not family_of(robot).has_yaw or shape.carrier == TURRET or shape.is_round:
+    shoulder = family.plane_origin + arm.lateral[link] * np.cross(*family.plane_axes)
+    if not family.has_yaw or shape.carrier == TURRET or shape.is_round:
         return shape.distance_from(shoulder) <= level
-    (x, y), (ax, ay), z = shoulder[:2] - family_of(robot).yaw_axis, family_of(robot).yaw_axis, shoulder[2]
+    (x, y), (ax, ay), z = shoulder[:2] - family.yaw_axis, family.yaw_axis, shoulder[2]
     radius = float(np.hypot(x, y))
 
     def distance(yaw: float) -> float:

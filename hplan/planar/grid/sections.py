@@ -164,17 +164,18 @@ def _cut_sections(
     within_reach: bool,
 ) -> ArmSections:
     """Sections of the obstacles, without the arm's own parts."""
+    family = family_of(robot)
     rectangle = link_model == "rectangle"
-    widths, none = family_of(robot).arm.half_widths, np.zeros(family_of(robot).arm.link_count)
+    widths, none = family.arm.half_widths, np.zeros(family.arm.link_count)
     # A box link's corner is farther out than its axis; capsules have their width in the section.
-    reaches = np.cumsum(family_of(robot).arm.lengths) + (widths if rectangle else none)
+    reaches = np.cumsum(family.arm.lengths) + (widths if rectangle else none)
     links = LinkExtents(
-        growth=(none if rectangle else widths) + family_of(robot).sway(obstacles.deviation),
+        growth=(none if rectangle else widths) + family.sway(obstacles.deviation),
         depths=np.array(widths) if rectangle else none,
         reaches=reaches if within_reach else np.full(len(reaches), np.inf),
-        lateral=np.array(family_of(robot).arm.lateral),
+        lateral=np.array(family.arm.lateral),
     )
-    origin, axes = (np.ascontiguousarray(array) for array in family_of(robot).plane_at(yaw))
+    origin, axes = (np.ascontiguousarray(array) for array in family.plane_at(yaw))
     plane = ArmPlane(origin, axes)
     cut = cut_balls(obstacles.balls, plane, links)
     if len(obstacles.hulls.owners):

@@ -91,13 +91,14 @@ def yaw_section(
         InputError: The arm does not have three planar joints, or the trajectory is for other joints.
         OptionError: The yaw is not finite, is beyond the limits, or is nonzero for an arm without yaw.
     """
+    family = family_of(robot)
     check_yaw(robot, yaw)
     playback.check(robot)
     trajectory = playback.trajectory
     end = min((phase.end_s for phase in playback.phases if phase.name == "approach"), default=trajectory.duration)
     rows = trajectory.time <= end + 1e-9
     motion, times = trajectory.position[rows], trajectory.time[rows]
-    at = family_of(robot).yaw_of(motion[-1]) if yaw is None else yaw
+    at = family.yaw_of(motion[-1]) if yaw is None else yaw
     choice = PlanOptions() if options is None else options
     world = World.build(
         robot,
@@ -107,7 +108,7 @@ def yaw_section(
         sigmas=choice.sigmas,
         yield_links=scene.yield_links,
     )
-    planar = family_of(robot).arm_slice
+    planar = family.arm_slice
     along = stations(motion)
     # Samples coincide while the arm rests.
     moving = np.concatenate([[True], np.diff(along) > 0.0])
@@ -119,7 +120,7 @@ def yaw_section(
         grid=grid,
         field=_field(robot, world, grid, at),
         path=frozen(np.ascontiguousarray(path[:, planar])),
-        yaw_distance=frozen(np.abs(path[:, 0] - at) if family_of(robot).has_yaw else np.zeros(len(path))),
+        yaw_distance=frozen(np.abs(path[:, 0] - at) if family.has_yaw else np.zeros(len(path))),
         times=frozen(np.interp(evenly, along[moving], times[moving])),
         joint_names=robot.joint_names[planar],
     )
@@ -134,29 +135,31 @@ def check_yaw(robot: Robot, yaw: float | None) -> None:
         InputError: The arm does not have three planar joints.
         OptionError: The yaw is not finite, is beyond the limits, or is nonzero for an arm without yaw.
     """
-    if family_of(robot).arm.link_count != 3:
+    family = family_of(robot)
+    if family.arm.link_count != 3:
         raise InputError(
-            f"the C-space view requires three planar joints; {robot.name!r} has {family_of(robot).arm.link_count}",
-            expected=3, got=family_of(robot).arm.link_count,
+            f"the C-space view requires three planar joints; {robot.name!r} has {family.arm.link_count}",
+            expected=3, got=family.arm.link_count,
         )  # fmt: skip
-    low, high = (float(robot.lower[0]), float(robot.upper[0])) if family_of(robot).has_yaw else (0.0, 0.0)
+    low, high = (float(robot.lower[0]), float(robot.upper[0])) if family.has_yaw else (0.0, 0.0)
     if yaw is not None and not low - 1e-9 <= yaw <= high + 1e-9:
         words = f"degrees from {math.degrees(low):.6g} to {math.degrees(high):.6g}"
         raise OptionError("yaw", math.degrees(yaw), words)
 
 
 def _grid(robot: Robot) -> Grid:
-    span = family_of(robot).arm.upper - family_of(robot).arm.lower
+    family = family_of(robot)
+    span = family.arm.upper - family.arm.lower
     step = max(math.radians(_STEP_DEG), float(np.prod(span) / _MOST_NODES) ** (1.0 / 3.0))
-    return Grid.from_limits(family_of(robot).arm.lower, family_of(robot).arm.upper, step)
+    return Grid.from_limits(family.arm.lower, family.arm.upper, step)
 
 
 def _field(robot: Robot, world: World, grid: Grid, yaw: float) -> FloatArray:
     """Clearance at the grid's nodes, capped at 1e3 m."""
-    q = np.full(robot.dof, yaw)
+    q, planar = np.full(robot.dof, yaw), family_of(robot).arm_slice
     field = np.empty(grid.size)
     for number, index in enumerate(np.ndindex(*grid.shape)):
-        q[family_of(robot).arm_slice] = grid.coordinates(index)
+        q[planar] = grid.coordinates(index)
         field[number] = world.field.clearance(q)
     # Interpolating the surface needs finite values, and clearance is infinite without obstacles.
     return frozen(np.minimum(field, 1e3).reshape(grid.shape))

@@ -182,13 +182,14 @@ def grow_fitted(space: Workspace, wanted: Mapping[str, Any], start_deg: Sequence
     Raises:
         OptionError: A given option is invalid, or there is no room for the fruits.
     """
-    for count in _FRUITS:
+    *counts, last = (wanted["fruits"],) if "fruits" in wanted else _FRUITS
+    for count in counts:
         try:
-            return generate(grown_options(space, {"fruits": count} | dict(wanted)), start_deg=start_deg)
+            return generate(grown_options(space, {**wanted, "fruits": count}), start_deg=start_deg)
         except OptionError as error:
-            if "fruits" in wanted or error.option != "fruits" or count == _FRUITS[-1]:
+            if error.option != "fruits":
                 raise
-    raise AssertionError("unreachable")
+    return generate(grown_options(space, {**wanted, "fruits": last}), start_deg=start_deg)
 
 
 def with_pickable_goal(

@@ -20,6 +20,7 @@ from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.file import load_scene
+from hplan.scene.model import Scene
 from hplan.study.row_file import open_rows
 from hplan.trajectory.trajectory import write_csv
 
@@ -167,21 +168,22 @@ def _plan_row(task: _Task, job: _Job) -> BatchRow | str:
     The row has the error if there is no motion. A scene is identified by its content, meshes and clouds included, by
     the robot and the options.
     """
-    begin, robot, fault = time.process_time(), task.robot, None
+    begin, robot = time.process_time(), task.robot
+    loaded: tuple[Robot, Scene] | HplanError
     try:
         scene = load_scene(job.scene)
         robot = _scene_robot(scene.robot) if robot is None else robot
-        content = scene_digest(scene) + robot_digest(robot)
+        loaded, content = (robot, scene), scene_digest(scene) + robot_digest(robot)
     except HplanError as error:
-        fault, content = error, error.message
+        loaded, content = error, error.message
     digest = hashlib.sha256(f"{job.scene}\n{task.options!r}\n{content}".encode()).hexdigest()[:16]
     if digest in job.known:
         return digest
     trajectory = "" if task.folder is None else f"{Path(job.scene).stem}-{digest[:8]}.csv"
     try:
-        if fault is not None or robot is None:
-            raise fault or AssertionError
-        result = plan(robot, scene, task.options)
+        if isinstance(loaded, HplanError):
+            raise loaded
+        result = plan(*loaded, task.options)
         if task.folder is not None:
             write_csv(result.trajectory, task.folder / trajectory)
     except HplanError as error:

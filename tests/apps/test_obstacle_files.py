@@ -203,14 +203,9 @@ def test_files_that_are_no_bags(tmp_path: Path, bag: Path) -> None:
 
 
 def test_cloud_message_without_coordinates() -> None:
-    class Field:
-        name, offset, datatype = "x", 0, 2
-
-    class Cloud:
-        is_bigendian, fields, width, height, point_step, row_step, data = False, (Field,), 1, 1, 1, 1, b"0"
-
+    steps = {"is_bigendian": False, "width": 1, "height": 1, "point_step": 1, "row_step": 1, "data": b"0"}
     with pytest.raises(SceneError, match="fields x, y and z"):
-        cloud_points(Cloud)
+        cloud_points({**steps, "fields": [{"name": "x", "offset": 0, "datatype": 2}]})
 
 
 # Scene files

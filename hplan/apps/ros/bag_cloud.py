@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 import pinocchio as pin
 
+from hplan.apps.ros.fields import fields_of, read_message
 from hplan.apps.ros.moveit_scene import planning_frame, pose
 from hplan.base.arguments import file_path, number, text
 from hplan.base.arrays import FloatArray
@@ -35,30 +36,38 @@ def cloud_points(message: Any) -> FloatArray:
     """(n, 3) points of a `sensor_msgs/msg/PointCloud2` in its frame [m]; NaN without a return.
 
     Args:
-        message: An object with the message's fields, as from rclpy or rosbags.
+        message: An object of rclpy or rosbags, a dict, or a YAML or JSON file of `ros2 topic echo --full-length`.
 
     Raises:
-        SceneError: The message has no float fields x, y and z, or its data do not fit its size.
-        OptionError: It lacks an attribute.
+        SceneError: The message has no float fields x, y and z, or its data do not fit its size; or the file is missing
+            or malformed.
+        OptionError: It is no message, or lacks a field.
     """
-    missing = [name for name in _CLOUD_FIELDS if not hasattr(message, name)]
+    content, _ = read_message(message, SceneError)
+    missing = [name for name in _CLOUD_FIELDS if name not in content]
     if missing:
         expected = f"a PointCloud2 with attributes {', '.join(_CLOUD_FIELDS)}"
         raise OptionError("message", message, f"{expected}; {', '.join(missing)} is missing")
-    order = ">" if message.is_bigendian else "<"
-    fields = {field.name: (field.offset, _FORMATS.get(field.datatype)) for field in message.fields}
+    order = ">" if content["is_bigendian"] else "<"
+    width, height, step, row_step = (content[name] for name in ("width", "height", "point_step", "row_step"))
+    declared = [fields_of(field) for field in content["fields"]]
+    fields = {field["name"]: (field["offset"], _FORMATS.get(field["datatype"])) for field in declared}
     missing = [axis for axis in "xyz" if fields.get(axis, (0, None))[1] is None]
     if missing:
         raise SceneError(f"expected fields x, y and z of float32 or float64, got {', '.join(fields) or 'none'}")
-    formats = [f"{order}{fields[axis][1]}" for axis in "xyz"]
-    offsets, wide, high = [fields[axis][0] for axis in "xyz"], message.width * message.point_step, message.height
+    formats, offsets = [f"{order}{fields[axis][1]}" for axis in "xyz"], [fields[axis][0] for axis in "xyz"]
+    data = content["data"]
     try:
-        kind = np.dtype({"names": [*"xyz"], "formats": formats, "offsets": offsets, "itemsize": message.point_step})
-        rows = np.frombuffer(bytes(message.data), np.uint8).reshape(high, message.row_step)
-        points = np.ascontiguousarray(rows[:, :wide]).reshape(-1).view(kind)
+        kind = np.dtype({"names": [*"xyz"], "formats": formats, "offsets": offsets, "itemsize": step})
+        rows = np.frombuffer(bytes(data) if isinstance(data, list | tuple) else data, np.uint8)
+        rows = rows.reshape(height, row_step)
+        points = np.ascontiguousarray(rows[:, : width * step]).reshape(-1).view(kind)
     except ValueError as error:
         raise SceneError(f"the data do not fit width, height and steps of the cloud: {error}") from error
-    return np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    found = np.empty((len(points), 3))
+    for column, axis in enumerate("xyz"):
+        found[:, column] = points[axis]
+    return found
 
 
 def read_bag_cloud(

@@ -1,7 +1,8 @@
 """Conversion of motions to and from `JointTrajectory` and `JointState` messages.
 
-A message (`trajectory_msgs/msg/JointTrajectory`, `sensor_msgs/msg/JointState`) is a plain dict with the fields of its
-definition, made of lists and numbers. It is ready for JSON or, with ROS, for `rosidl_runtime_py.set_message_fields`.
+A written message (`trajectory_msgs/msg/JointTrajectory`, `sensor_msgs/msg/JointState`) is a plain dict with the fields
+of its definition, made of lists and numbers. It is ready for JSON and, with ROS, for `hplan.apps.ros.to_message`, which
+makes it an object. Readers take objects of rclpy and rosbags, dicts and files.
 
 `joint_trajectory_controller` chooses the curve between two points by their fields: a quintic if they have
 accelerations, a cubic if they have velocities only, a straight line if they have positions only. A message therefore
@@ -13,7 +14,7 @@ from __future__ import annotations
 
 import json
 from array import array
-from collections.abc import Mapping, Sequence, Set, Sized
+from collections.abc import Iterator, Mapping, Sequence, Set, Sized
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -22,10 +23,12 @@ from typing import Any, get_args
 import numpy as np
 import yaml
 
-from hplan.apps.ros.transforms import message_time, seconds_of, time_ns
-from hplan.base.arguments import check_integer, file_path, instance, list_of, one_of, truth
+from hplan.apps.ros.fields import are_messages, column, fields_of, is_message, read_message, stack_rows
+from hplan.apps.ros.transforms import SECOND_NS, message_time, seconds_of, time_ns
+from hplan.base.arguments import check_integer, file_path, instance, list_between, list_of, one_of, truth
 from hplan.base.arrays import FloatArray, numbers
 from hplan.base.files import write_text
+from hplan.base.units import FARTHEST_JOINT
 from hplan.certificate.certificate import REST
 from hplan.errors import InputError, OptionError
 from hplan.robot.model import Robot
@@ -149,28 +152,34 @@ def to_joint_state(
 
 
 def from_joint_trajectory(
-    message: Mapping[str, Any],
+    message: Any,
     *,
     prefix: str = "",
     robot: Robot | None = None,
     interpolation: Interpolation | None = None,
+    rest: Mapping[str, float] | None = None,
 ) -> Trajectory:
     """Convert a `trajectory_msgs/msg/JointTrajectory` to a trajectory, for example to certify it.
 
     Args:
-        message: The message as a dict, from any planner; its first point is at time 0.
+        message: The message from any planner; its first point is at time 0. An object of rclpy or rosbags, a dict, or a
+            YAML or JSON file. Also a message that contains it: `moveit_msgs/msg/RobotTrajectory`, a `DisplayTrajectory`
+            of one motion, or a `FollowJointTrajectory` goal.
         prefix: Prefix to remove from every joint name.
         robot: Robot that defines the order of the joints, and whose inverse dynamics gives the torques if the points
             have no efforts. None keeps the order of the message.
         interpolation: The curve that the controller runs between the points. None for the curve that
             `joint_trajectory_controller` chooses: `quintic` for points with accelerations, `cubic` for points with
             velocities only, `linear` for points with positions only.
+        rest: Positions of joints of the robot that the message does not move, by name [rad, m if prismatic]. None if
+            the message has all of them.
 
     Raises:
         InputError: A field is missing or of another kind, lists differ in length, times do not increase from 0; points
             lack a field that other points have or that the interpolation requires; without a robot, points lack
-            efforts; the joints are not the robot's.
-        OptionError: The message is not a dict, the prefix is not text, or the interpolation is unknown.
+            efforts; the joints are not the robot's; the message has several motions or moves multi-DOF joints; or the
+            file is missing or malformed.
+        OptionError: The message is no message, the prefix is not text, or the interpolation is unknown.
 
     Examples:
         >>> points = [
@@ -181,29 +190,106 @@ def from_joint_trajectory(
         >>> motion.joint_names, motion.interpolation, motion.duration
         (('elbow',), 'linear', 2.0)
     """
-    if not isinstance(message, Mapping):
-        raise OptionError("message", message, "a dict of a JointTrajectory")
-    names = tuple(name.removeprefix(_cell_text("prefix", prefix)) for name in _list(message, "joint_names", str))
-    points = _list(message, "points", Mapping)
-    order = _order(names, robot)
-    time = np.array(
-        [
-            seconds_of(f"points[{index}].time_from_start", point.get("time_from_start"))
-            for index, point in enumerate(points)
-        ]
-    )
-    given = {field for field in _FIELDS if any(not _is_empty(point.get(field, ())) for point in points)}
+    parts = joint_trajectories(message)
+    if len(parts) != 1:
+        raise InputError(
+            f"the message has {len(parts)} motions, expected one; `joint_trajectories` returns each", motions=len(parts)
+        )
+    content = parts[0]
+    names = tuple(name.removeprefix(_cell_text("prefix", prefix)) for name in _list(content, "joint_names", str))
+    points = content.get("points")
+    if not isinstance(points, list | tuple) or not points or not are_messages(points):
+        points = _list(content, "points", Mapping)
+    columns = {field: column(points, field) for field in _FIELDS}
+    given = {field for field, rows in columns.items() if any(not _is_empty(row) for row in rows)}
     curve = _curve_of(given, interpolation)
+    count = len(points)
     arrays = {
-        _FIELDS[field]: _array(points, field, len(names))[:, order]
+        _FIELDS[field]: _array(columns[field], field, len(names))
         for field in _FIELDS
         if field in given or field in _FIELDS_OF[curve] or (field == "effort" and robot is None)
     }
+    if robot is not None and rest:
+        still = [name for name in instance("robot", robot, Robot, "load_robot").joint_names if name not in names]
+        names, arrays = _with_rest(names, arrays, {name: rest[name] for name in still if name in rest})
+    order = _order(names, robot)
+    arrays = {name: rows[:, order] for name, rows in arrays.items()}
     joints, slides = tuple(names[index] for index in order), () if robot is None else robot.slides
-    zero = np.zeros_like(arrays["position"])
+    zero = np.zeros((count, len(order)))
     velocity, acceleration, torque = (arrays.get(name, zero) for name in ("velocity", "acceleration", "torque"))
-    motion = Trajectory(joints, time, arrays["position"], velocity, acceleration, torque, slides, curve)
+    motion = Trajectory(joints, _times(points), arrays["position"], velocity, acceleration, torque, slides, curve)
     return _filled_in(motion, arrays.keys(), robot)
+
+
+def joint_trajectories(message: Any) -> tuple[Mapping[str, Any], ...]:
+    """The `JointTrajectory` messages in a message, in order, as mappings of their fields.
+
+    Args:
+        message: A `JointTrajectory`, `RobotTrajectory`, `DisplayTrajectory` or `FollowJointTrajectory` goal: an object
+            of rclpy or rosbags, a dict, or a YAML or JSON file.
+
+    Raises:
+        InputError: A `RobotTrajectory` moves multi-DOF joints, a part is no message, or the file is missing or
+            malformed.
+        OptionError: `message` is no message.
+
+    Examples:
+        >>> part = {"joint_names": ["elbow"], "points": []}
+        >>> joint_trajectories({"trajectory": [{"joint_trajectory": part}]}) == (part,)
+        True
+    """
+    if not is_message(message) and not isinstance(message, str | Path):
+        raise OptionError("message", message, "a JointTrajectory, as an object, a dict or a file")
+    content, _ = read_message(message)
+    return tuple(_iterate_parts(content))
+
+
+def _iterate_parts(content: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+    if "joint_trajectory" in content:
+        moved = fields_of(content.get("multi_dof_joint_trajectory") or {})
+        if len(moved.get("points", ())):
+            names = ", ".join(moved.get("joint_names", ()))
+            raise InputError(f"the trajectory moves multi-DOF joints ({names}), which hplan does not model")
+        content = _part(content["joint_trajectory"], "joint_trajectory")
+    inner = content.get("trajectory")
+    if inner is None:
+        yield content
+    else:
+        for part in inner if isinstance(inner, list | tuple) else [inner]:
+            yield from _iterate_parts(_part(part, "trajectory"))
+
+
+def _part(content: Any, where: str) -> Mapping[str, Any]:
+    if not is_message(content):
+        raise InputError(f"{where}: expected a message, got {content!r}", key=where)
+    return fields_of(content)
+
+
+def _with_rest(
+    names: tuple[str, ...], arrays: Mapping[str, FloatArray], rest: Mapping[str, float]
+) -> tuple[tuple[str, ...], dict[str, FloatArray]]:
+    """Names and arrays with additional joints at rest."""
+    held = list_between("rest", list(rest.values()), -FARTHEST_JOINT, FARTHEST_JOINT) if rest else ()
+    found = {}
+    for name, rows in arrays.items():
+        values = np.array(held) if name == "position" else np.zeros(len(held))
+        found[name] = np.hstack([rows, np.broadcast_to(values, (len(rows), len(held)))])
+    return (*names, *rest), found
+
+
+def _times(points: Sequence[Any]) -> FloatArray:
+    """(n,) times of the points [s]."""
+    stamps = column(points, "time_from_start")
+    whole, parts = (column(stamps, key) if are_messages(stamps) else [None] for key in ("sec", "nanosec"))
+    if {*map(type, whole), *map(type, parts)} == {int}:
+        seconds, rest = np.array(whole), np.array(parts)
+        # Exact in doubles, and the division rounds once.
+        exact = 2**53 // SECOND_NS - 1
+        if ((seconds >= 0) & (seconds <= exact) & (rest >= 0) & (rest < SECOND_NS)).all():
+            found: FloatArray = (seconds * SECOND_NS + rest) / SECOND_NS
+            return found
+    places = (f"points[{index}].time_from_start" for index in range(len(points)))
+    return np.array([seconds_of(where, stamp) for where, stamp in zip(places, stamps, strict=True)])
 
 
 def _curve_of(given: Set[str], interpolation: Interpolation | None) -> Interpolation:
@@ -267,8 +353,8 @@ def _needs_stamp(trajectory: Trajectory) -> bool:
 
 
 def _is_empty(row: Any) -> bool:
-    """True for an empty list."""
-    return isinstance(row, Sized) and len(row) == 0
+    """True for an empty list, and for None."""
+    return row is None or (isinstance(row, Sized) and len(row) == 0)
 
 
 def _header(frame_id: str, stamp_ns: int) -> dict[str, Any]:
@@ -309,17 +395,17 @@ def _order(names: Sequence[str], robot: Robot | None) -> list[int]:
     return [names.index(name) for name in expected]
 
 
-def _array(points: Sequence[Mapping[str, Any]], field: str, joints: int) -> FloatArray:
+def _array(rows: Sequence[Any], field: str, joints: int) -> FloatArray:
     """(points, joints) values of one field."""
-    rows = []
-    for index, point in enumerate(points):
-        row = point.get(field, ())
-        if not isinstance(row, list | tuple | array | np.ndarray) or len(row) != joints:
-            count = f"{len(row)} numbers" if isinstance(row, list | tuple | array | np.ndarray) else repr(row)
-            raise InputError(
-                f"points[{index}].{field} has {count}, expected one for each of {joints} joints",
-                point=index,
-                field=field,
-            )
-        rows.append(row)
-    return numbers(field, rows, (len(points), joints))
+    found = stack_rows(rows)
+    if found is None or found.shape[1] != joints:
+        for index, row in enumerate(rows):
+            row = () if row is None else row
+            if not isinstance(row, list | tuple | array | np.ndarray) or len(row) != joints:
+                count = f"{len(row)} numbers" if isinstance(row, list | tuple | array | np.ndarray) else repr(row)
+                raise InputError(
+                    f"points[{index}].{field} has {count}, expected one for each of {joints} joints",
+                    point=index,
+                    field=field,
+                )
+    return numbers(field, rows if found is None else found, (len(rows), joints))

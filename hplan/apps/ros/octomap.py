@@ -22,6 +22,7 @@ from typing import Any, Final
 import numpy as np
 import pinocchio as pin
 
+from hplan.apps.ros.fields import fields_of, is_message
 from hplan.apps.ros.moveit_scene import planning_frame, shape
 from hplan.base.arguments import check_integer, file_path, text
 from hplan.base.arrays import IntArray
@@ -36,7 +37,7 @@ _NODE_BYTES: Final = {"OcTree": 4, "ColorOcTree": 7}
 
 
 def read_octomap(
-    source: Path | str | Mapping[str, Any],
+    source: Any,
     *,
     name: str = "octomap",
     position: Vector = (0.0, 0.0, 0.0),
@@ -48,7 +49,7 @@ def read_octomap(
     Neighbouring voxels are joined into larger boxes. Unknown space counts as free.
 
     Args:
-        source: A `.bt` or `.ot` file, or an `octomap_msgs/msg/Octomap` message as a dict.
+        source: A `.bt` or `.ot` file, or an `octomap_msgs/msg/Octomap` message, an object or a dict.
         name: The boxes are `NAME 1`, `NAME 2`, ...
         position: Origin of the map in `base_link` [m].
         rpy_deg: Orientation of the map: roll, pitch and yaw about fixed axes [deg].
@@ -69,11 +70,8 @@ def read_octomap(
     check_integer("depth", depth, 1, _DEPTH)
     text("name", name, "the prefix of the names")
     base = planning_frame(position, rpy_deg, name, "refuse")
-    path = None if isinstance(source, Mapping) else file_path("source", source)
-    if isinstance(source, Mapping):
-        kind, is_binary, edge_m, data = _fields(source)
-    else:
-        kind, is_binary, edge_m, data = _read_file(file_path("source", source))
+    path = None if is_message(source) else file_path("source", source)
+    kind, is_binary, edge_m, data = _fields(fields_of(source)) if path is None else _read_file(path)
     if kind not in _NODE_BYTES:
         raise SceneError(f"expected a tree of type {' or '.join(_NODE_BYTES)}, got {kind!r}", path=path)
     if not (np.isfinite(edge_m) and edge_m > 0.0):

@@ -1,29 +1,25 @@
-"""Reader of `moveit_msgs/msg/PlanningScene` messages: a dict, YAML or JSON.
+"""Reader of `moveit_msgs/msg/PlanningScene` messages: an object, a dict, YAML or JSON.
 
-The message may be a dictionary of `rosidl_runtime_py.message_to_ordereddict` or the output of `ros2 topic echo`. As in
-the benchmark files of robowflex, words and lists may replace numbers and named fields: `type: box`,
+The message may be an object of rclpy or rosbags, a dictionary, or the output of `ros2 topic echo`. As in the benchmark
+files of robowflex, words and lists may replace numbers and named fields: `type: box`,
 `position: [x, y, z]`, `orientation: [x, y, z, w]`.
 """
 
 from __future__ import annotations
 
-import re
 from array import array
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pinocchio as pin
-import yaml
 
+from hplan.apps.ros.fields import are_messages, column, fields_of, is_message, read_message
 from hplan.apps.ros.moveit_scene import NO_PLANE, SIZES, OpenMeshes, mesh, planning_frame, pose, shape
 from hplan.apps.ros.octomap import read_octomap
-from hplan.base.arguments import file_path, is_number, list_of
-from hplan.base.files import ByteBudget
-from hplan.base.yaml_text import read_yaml
+from hplan.base.arguments import is_number, list_of
 from hplan.errors import OptionError, SceneError
-from hplan.scene.limits import MOST_SCENE_BYTES, Vector
+from hplan.scene.limits import Vector
 from hplan.scene.obstacles import Obstacle
 
 #: Parts that can be left out by name; all but the octomap are otherwise refused if they hold anything.
@@ -73,7 +69,8 @@ def check_parts(message: Mapping[str, Any], world: Mapping[str, Any], where: str
     Raises:
         SceneError: A part that is not empty and not left out; names the key.
     """
-    names = {item.get("id") for item in sequence(or_else(world.get("collision_objects"), ()), where) if is_map(item)}
+    objects = sequence(or_else(world.get("collision_objects"), ()), where)
+    names = {fields_of(item).get("id") for item in objects if is_message(item)}
     for part, fault, key in (
         ("attached_collision_objects", _attached_fault(message), "robot_state.attached_collision_objects"),
         ("link_padding", _link_fault(message, "link_padding", "padding", 0.0), "link_padding"),
@@ -131,7 +128,7 @@ def _allowed_fault(message: Mapping[str, Any], names: Collection[Any]) -> str:
         )
     allowed = []
     for name, row in zip(entries, rows, strict=False):
-        enabled = row.get("enabled") if is_map(row) else row
+        enabled = fields_of(row).get("enabled") if is_message(row) else row
         flags = sequence(or_else(enabled, ()), f"{key}.entry_values")
         allowed += [(name, other) for other, flag in zip(entries, flags, strict=False) if flag]
     defaults = zip(
@@ -260,7 +257,8 @@ def numbers_of(content: Any, keys: str, where: str) -> list[float]:
     Raises:
         SceneError: Another number of values, a value that is not a number, or an unknown key.
     """
-    if is_map(content):
+    if is_message(content):
+        content = fields_of(content)
         values = [content.get(key, 0.0) for key in keys]
         check_keys(content, keys, where)
     else:
@@ -282,20 +280,15 @@ def check_keys(content: Mapping[str, Any], known: Iterable[str], where: str) -> 
             raise SceneError(f"unknown key; expected one of {', '.join(known)}", where=key_path(where, str(key)))
 
 
-def is_map(content: Any) -> bool:
-    """True for a mapping of keys."""
-    return isinstance(content, Mapping)
-
-
 def check_mapping(content: Any, where: str) -> Mapping[str, Any]:
-    """Check that a value is a mapping, and return it.
+    """Check that a value is a mapping or a message object; return its fields.
 
     Raises:
-        SceneError: The value is not a mapping.
+        SceneError: The value is neither.
     """
-    if not isinstance(content, Mapping):
+    if not is_message(content):
         raise SceneError(f"expected a mapping of keys, got {content!r}", where=where or None)
-    return content
+    return fields_of(content)
 
 
 def sequence(content: Any, where: str) -> list[Any] | tuple[Any, ...]:
@@ -323,12 +316,12 @@ def or_else(content: Any, otherwise: Any) -> Any:
     return otherwise if content is None else content
 
 
-#: Values of `operation` that add an object: the byte of a message in its forms, and the words of files.
-_ADDS: Final = (0, "\0", "add", "ADD")
+#: Operations of a collision object, by the byte of a message, and as words of files.
+_OPERATIONS: Final = ("add", "remove", "append", "move")
 
 
 def read_planning_scene(
-    source: Path | str | Mapping[str, Any],
+    source: Any,
     *,
     position: Vector = (0.0, 0.0, 0.0),
     rpy_deg: Vector = (0.0, 0.0, 0.0),
@@ -345,7 +338,8 @@ def read_planning_scene(
     them from the SRDF; colours, subframes and joint states are ignored too.
 
     Args:
-        source: The message or its `world` alone, as a dict or as the path of a YAML or JSON file.
+        source: The message or its `world` alone: an object of rclpy or rosbags, a dict, or the path of a YAML or JSON
+            file.
         position: Origin of the objects' frame in `base_link` [m].
         rpy_deg: Orientation of that frame: roll, pitch and yaw about fixed axes [deg].
         prefix: Prepended to every name.
@@ -369,33 +363,11 @@ def read_planning_scene(
     """
     base = planning_frame(position, rpy_deg, prefix, open_meshes)
     left_out = check_left_out(leave_out)
-    path = None
-    if isinstance(source, Mapping):
-        message = source
-    else:
-        path = file_path("source", source)
-        message = _read_message(path)
+    message, path = read_message(source, SceneError)
     try:
         return tuple(_read_obstacles(_World(message, left_out), base, prefix, open_meshes))
     except SceneError as error:
         raise SceneError(error.reason, path=path, where=error.where, value=error.value) from error
-
-
-def _read_message(path: Path) -> Mapping[str, Any]:
-    text = ByteBudget(MOST_SCENE_BYTES).text(path, lambda reason: SceneError(reason, path=path))
-    # `ros2 topic echo` ends each message with a line of three hyphens.
-    text = re.sub(r"(\n---[ \t\r]*)+\s*\Z", "\n", text)
-    try:
-        content, _ = read_yaml(text)
-    except yaml.MarkedYAMLError as error:
-        line = None if error.problem_mark is None else error.problem_mark.line + 1
-        reason = f"malformed YAML: {error.problem}"
-        if "another document" in str(error.problem):
-            reason = "there are several messages; expected one, as `ros2 topic echo --once --full-length` prints it"
-        raise SceneError(reason, path=path, line=line) from error
-    if not isinstance(content, Mapping):
-        raise SceneError("expected a planning scene: a mapping with world", path=path)
-    return content
 
 
 class _World:
@@ -420,46 +392,106 @@ def _read_obstacles(world: _World, base: pin.SE3, prefix: str, open_meshes: Open
     for index, item in enumerate(world.objects):
         where = f"{key_path(world.where, 'collision_objects')}[{index}]"
         item = check_mapping(item, where)
-        check_keys(item, OBJECT, where)
-        name = item.get("id")
-        if not isinstance(name, str) or not name or name in names:
-            reason = f"there are two objects {name!r}" if name in names else f"expected a name, got {name!r}"
-            raise SceneError(reason, where=f"{where}.id", value=name)
+        name = object_name(item, where)
+        if name in names:
+            raise SceneError(f"there are two objects {name!r}", where=f"{where}.id", value=name)
         names.add(name)
-        operation = item.get("operation", 0)
-        if (operation.decode("latin-1") if isinstance(operation, bytes | bytearray) else operation) not in _ADDS:
-            reason = f"expected an object that is added (ADD, 0); got operation {operation!r}"
+        operation = operation_of(item)
+        if operation != "add":
+            reason = f"expected an object that is added (ADD, 0); got operation {item.get('operation')!r}"
             raise SceneError(reason, where=f"{where}.operation", value=operation)
-        if len(sequence(or_else(item.get("planes"), ()), f"{where}.planes")):
-            raise SceneError(NO_PLANE, where=f"{where}.planes")
-        place = (
-            base * world.frames.place(frame_of(item, where), name, where) * pose_of(item.get("pose"), f"{where}.pose")
-        )
-        shapes = [
-            *_iterate_placed_shapes(item, "primitives", "primitive_poses", where),
-            *_iterate_placed_shapes(item, "meshes", "mesh_poses", where),
-        ]
-        if not shapes:
-            raise SceneError("the object has no shape", where=where)
-        for number, (content, inner, at) in enumerate(shapes, start=1):
-            called = prefix + (name if len(shapes) == 1 else f"{name} {number}")
-            try:
-                yield _read_shape(called, content, place * inner, at, open_meshes)
-            except SceneError as error:
-                inside = (error.where or "").startswith(at)
-                raise SceneError(error.reason, where=error.where if inside else at, value=error.value) from error
-    yield from _read_octomap(world, base, f"{prefix}octomap")
+        yield from read_object(item, where, world.frames, base, prefix=prefix, open_meshes=open_meshes)
+    yield from read_map(world.octomap, key_path(world.where, "octomap"), world.frames, base, f"{prefix}octomap")
 
 
-def _read_octomap(world: _World, base: pin.SE3, name: str) -> tuple[Obstacle, ...]:
-    """Boxes of the octomap (`octomap_msgs/msg/OctomapWithPose`); none of an empty one."""
-    where = key_path(world.where, "octomap")
-    content = check_mapping(or_else(world.octomap.get("octomap"), {}), f"{where}.octomap")
+def object_name(item: Mapping[str, Any], where: str) -> str:
+    """Name of a collision object.
+
+    Raises:
+        SceneError: A key is unknown, or the object has no name.
+    """
+    check_keys(item, OBJECT, where)
+    name = item.get("id")
+    if not isinstance(name, str) or not name:
+        raise SceneError(f"expected a name, got {name!r}", where=f"{where}.id", value=name)
+    return name
+
+
+def operation_of(item: Mapping[str, Any]) -> str:
+    """Operation of a collision object: `add`, `remove`, `append` or `move`; empty if unknown."""
+    operation = item.get("operation", 0)
+    if isinstance(operation, bytes | bytearray):
+        operation = operation.decode("latin-1")
+    if isinstance(operation, str) and len(operation) == 1:
+        operation = ord(operation)
+    if is_number(operation):
+        return dict(enumerate(_OPERATIONS)).get(int(operation), "")
+    return operation.lower() if isinstance(operation, str) and operation.lower() in _OPERATIONS else ""
+
+
+def read_object(
+    item: Mapping[str, Any],
+    where: str,
+    frames: FixedFrames,
+    base: pin.SE3,
+    *,
+    prefix: str = "",
+    open_meshes: OpenMeshes = "refuse",
+) -> Iterator[Obstacle]:
+    """Obstacles of one collision object.
+
+    Args:
+        item: The object's fields.
+        where: Its key in the message, for errors.
+        frames: Frames of the scene.
+        base: Pose of the planning frame in `base_link`.
+        prefix: Prepended to every name.
+        open_meshes: `refuse` meshes that are open or inside out, or replace them by their convex `hull`.
+
+    Raises:
+        SceneError: The object cannot be an obstacle, or its frame is unknown.
+    """
+    name = object_name(item, where)
+    if len(sequence(or_else(item.get("planes"), ()), f"{where}.planes")):
+        raise SceneError(NO_PLANE, where=f"{where}.planes")
+    place = base * frames.place(frame_of(item, where), name, where) * pose_of(item.get("pose"), f"{where}.pose")
+    shapes = [
+        *_iterate_placed_shapes(item, "primitives", "primitive_poses", where),
+        *_iterate_placed_shapes(item, "meshes", "mesh_poses", where),
+    ]
+    if not shapes:
+        raise SceneError("the object has no shape", where=where)
+    for number, (content, inner, at) in enumerate(shapes, start=1):
+        called = prefix + (name if len(shapes) == 1 else f"{name} {number}")
+        try:
+            yield _read_shape(called, content, place * inner, at, open_meshes)
+        except SceneError as error:
+            inside = (error.where or "").startswith(at)
+            raise SceneError(error.reason, where=error.where if inside else at, value=error.value) from error
+
+
+def read_map(
+    octomap: Mapping[str, Any], where: str, frames: FixedFrames, base: pin.SE3, name: str
+) -> tuple[Obstacle, ...]:
+    """Boxes of an `octomap_msgs/msg/OctomapWithPose`; none of an empty one.
+
+    Args:
+        octomap: Its fields.
+        where: Its key in the message, for errors.
+        frames: Frames of the scene.
+        base: Pose of the planning frame in `base_link`.
+        name: Prefix of the names.
+
+    Raises:
+        SceneError: The map is malformed, or its frame is unknown.
+    """
+    content = check_mapping(or_else(octomap.get("octomap"), {}), f"{where}.octomap")
     data = or_else(content.get("data"), ())
     if not is_number(data) and len(data) == 0:
         return ()
-    origin = pose_of(world.octomap.get("origin"), f"{where}.origin")
-    place = base * world.frames.place(frame_of(world.octomap, where), name, where) * origin
+    place = (
+        base * frames.place(frame_of(octomap, where), name, where) * pose_of(octomap.get("origin"), f"{where}.origin")
+    )
     rpy_deg = tuple(np.degrees(pin.rpy.matrixToRpy(place.rotation)).tolist())
     try:
         return read_octomap(content, name=name, position=tuple(place.translation.tolist()), rpy_deg=rpy_deg)
@@ -488,7 +520,7 @@ def _read_shape(name: str, content: Mapping[str, Any], place: pin.SE3, where: st
             sequence(content.get("triangles"), corners),
         )
         vertices = [numbers_of(row, "xyz", f"{where}.vertices") for row in rows]
-        faces = [row.get("vertex_indices") if isinstance(row, Mapping) else row for row in triangles]
+        faces = column(triangles, "vertex_indices") if are_messages(triangles) else triangles
         return mesh(name, vertices, [list(sequence(face, corners)) for face in faces], place, open_meshes)
     kind = content.get("type")
     # Constants of `shape_msgs/msg/SolidPrimitive`.

@@ -5,7 +5,6 @@ As published by ROS's `robot_state_publisher`, there is one transform from each 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any, Final
 
@@ -13,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from hplan.apps.ros.fields import fields_of, is_message
 from hplan.base.arguments import check_between, instance
 from hplan.errors import InputError, RobotFileError
 from hplan.robot.model import Robot
@@ -56,7 +56,7 @@ def seconds_of(where: str, content: Any) -> float:
 
     Args:
         where: Place of the value in the message, for the error.
-        content: The message as a dict.
+        content: The message, an object or a dict.
 
     Raises:
         InputError: `content` is not a valid time with `sec` and `nanosec`; names its place.
@@ -65,9 +65,9 @@ def seconds_of(where: str, content: Any) -> float:
         >>> seconds_of("header.stamp", {"sec": 1, "nanosec": 500_000_000})
         1.5
     """
-    parts = []
+    parts, fields = [], fields_of(content) if is_message(content) else {}
     for key, most in (("sec", 2**31 - 1), ("nanosec", SECOND_NS - 1)):
-        value = content.get(key) if isinstance(content, Mapping) else None
+        value = fields.get(key)
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= most:
             raise InputError(
                 f"{where}: expected sec and nanosec, whole numbers with nanosec below 1e9; got {content!r}"

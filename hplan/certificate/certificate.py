@@ -65,10 +65,10 @@ from hplan.certificate.task_check import task_violations
 from hplan.certificate.tilted_base import use_on_track
 from hplan.certificate.touch_risk import TouchRisk, touch_risk
 from hplan.certificate.turning_in_place import clearance_in_place
-from hplan.collision.arm_pairs import BASE_DEPTH
+from hplan.collision.coal_arm import BASE_DEPTH
 from hplan.collision.coal_scene import CoalScene, Contact, OwnContact, base_contacts
+from hplan.collision.compliant_solids import check_yield_links
 from hplan.collision.far_obstacles import warn_of_far_obstacles
-from hplan.collision.giving_way import check_yield_links
 from hplan.errors import InputError, MovingObstacleError, OptionError
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel

@@ -9,13 +9,13 @@ clearance remains. (So the certified clearance is at least halfway from the requ
 one. Self-collision pairs whose required distance is less than the required clearance each have a bound of their own,
 `Proof.own_bounds`.) So the next query of a pair lies farther ahead than the last one certifies, and if the two leave a
 gap, another query follows in its middle. Before coal is called, boxes around the two bound their distance
-(`hplan.collision.box_bounds`); if the bound leaves enough, it replaces the query. Places are counted in samples. If a
+(`hplan.collision.coal_boxes`); if the bound leaves enough, it replaces the query. Places are counted in samples. If a
 pair is too near, the proof continues as far as possible without querying ahead; if it has to give up, the rest of the
 motion is searched for the minimum distance.
 
 `hplan.certificate.motion_bound` bounds the travel of a moving body within a segment of the motion, and its displacement
 by tracking errors. Two parts that can never be as far apart as required must not touch
-(`hplan.collision.touching_pairs`).
+(`hplan.collision.self_pairs`).
 
 **Tracking.** Joint deviations bring a pair nearer by its displacement bound, at most :math:`m_r` in segment :math:`r`
 of the motion. It is replaced by the piecewise linear :math:`\tilde m` with the values :math:`M_r = \max(m_{r - 1},
@@ -49,9 +49,9 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.deadline import check_deadline
 from hplan.base.kernels import kernel
 from hplan.certificate.motion_bound import at_rows, motion_of_movers, with_obstacles
-from hplan.collision.box_bounds import box_separation, joints_as_pinocchio
+from hplan.collision.coal_boxes import box_separation, joints_as_pinocchio
 from hplan.collision.coal_scene import CoalScene, Contact
-from hplan.collision.placed_bodies import place_joints
+from hplan.collision.compiled_placements import place_joints
 from hplan.trajectory.cubics import cubic_at
 
 #: Spare clearance below which the proof gives up [m]: its steps, half of it, would become too small.

@@ -15,7 +15,7 @@ from hplan.base.arrays import BoolArray, FloatArray, Record, numbers, readonly
 from hplan.base.units import FARTHEST_JOINT
 from hplan.certificate.moving_obstacles import checker_in_time
 from hplan.collision.coal_scene import CoalScene, Contact
-from hplan.collision.giving_way import check_yield_links
+from hplan.collision.compliant_solids import check_yield_links
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene, checked_scene
 

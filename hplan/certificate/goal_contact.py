@@ -18,8 +18,8 @@ The window consists of whole cubics of the motion, and the two conditions hold a
 leaves the chord between two samples :math:`h` apart by at most :math:`h^2 / 8 \max |\ddot p|`, and the points within a
 distance of a half-line are a convex set: if both samples are within `OFFSET` minus that value, the path between them is
 within `OFFSET`. The direction :math:`u` leaves its chord by at most :math:`h^2 / 8 \max |\ddot u|`. With :math:`r_j`
-the tool's maximum distance from the axis of joint j (`hplan.collision.reach`; 1 for a prismatic joint), and joints
-counted from the base,
+the tool's maximum distance from the axis of joint j (`hplan.collision.motion_coefficients`; 1 for a prismatic joint),
+and joints counted from the base,
 
 .. math::
     |\ddot p| \le \sum_j r_j |\ddot q_j| + \sum_{j \text{ turns}} |\dot q_j| \Bigl(r_j |\dot q_j|
@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray
-from hplan.collision.reach import carriers, joint_axis, points_reach
+from hplan.collision.motion_coefficients import carriers, joint_axis, points_reach
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit
 from hplan.trajectory.trajectory import SAME_TIME

@@ -1,9 +1,9 @@
 r"""Motion bounds: travel of moving bodies and displacement by tracking errors.
 
-A body's points are at most :math:`R_{bj}` from the axis of joint j at any configuration (`hplan.collision.reach`). In
-the middle of a segment of the motion they are at most :math:`\rho_{bj}` from it, by a ball that contains the body. The
-joints between joint j and the body change this distance, within the segment, by no more than the body travels by the
-joints after j alone. So within the segment it is at most
+A body's points are at most :math:`R_{bj}` from the axis of joint j at any configuration
+(`hplan.collision.motion_coefficients`). In the middle of a segment of the motion they are at most :math:`\rho_{bj}`
+from it, by a ball that contains the body. The joints between joint j and the body change this distance, within the
+segment, by no more than the body travels by the joints after j alone. So within the segment it is at most
 
 .. math:: r_{bj} = \min(R_{bj}, \rho_{bj} + \tfrac12 \sum_{k > j} R_{bk} \max |q_k'|),
 
@@ -40,11 +40,11 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, TableArray
 from hplan.base.kernels import kernel
-from hplan.collision.arm_pairs import ArmParts, arm_parts
+from hplan.collision.coal_arm import ArmParts, arm_parts
 from hplan.collision.coal_scene import CoalScene
-from hplan.collision.flat_bodies import joint_table
-from hplan.collision.placed_bodies import place_joints
-from hplan.collision.reach import ON_AXIS
+from hplan.collision.compiled_bodies import joint_table
+from hplan.collision.compiled_placements import place_joints
+from hplan.collision.motion_coefficients import ON_AXIS
 from hplan.geometry.vectors import cross, dot, moved_on, placed_point, rotate, sub, vector_of
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel

@@ -14,10 +14,10 @@ import pinocchio as pin
 
 from hplan.base.arrays import FloatArray
 from hplan.certificate.clearance_proof import MOST_TRAVEL, SMALLEST_STEP, prove_clearance
-from hplan.collision.arm_pairs import BASE_DEPTH, base_bodies
+from hplan.collision.coal_arm import BASE_DEPTH, base_bodies
 from hplan.collision.coal_cloud import distance_from
+from hplan.collision.coal_moving_solids import MovingSolids
 from hplan.collision.coal_scene import CoalScene, Leaving
-from hplan.collision.moving_solids import MovingSolids
 from hplan.errors import MovingObstacleError
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene

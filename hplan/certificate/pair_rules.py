@@ -2,10 +2,10 @@
 
 `Certificate.min_clearance_m` is a lower bound of every distance that was checked. Two kinds of pairs of one arm have a
 rule of their own: pairs that are never as far apart as the clearance must not touch, and have their own certified
-bound; exempt pairs (`hplan.collision.touching_pairs`) are not checked at all. Pairs of different arms are exempt only
+bound; exempt pairs (`hplan.collision.self_pairs`) are not checked at all. Pairs of different arms are exempt only
 if their cell declares it. Bodies that turn in place, which no joint moves to or from an obstacle, must not touch it,
 and are listed if they are nearer than the clearance (`hplan.certificate.turning_in_place`). An obstacle that supports a
-body at every value of its joint (`hplan.collision.arm_pairs.supports`) is not checked against it.
+body at every value of its joint (`hplan.collision.coal_arm.supports`) is not checked against it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from hplan.certificate.clearance_proof import Proof
-from hplan.collision.arm_pairs import BASE_DEPTH
+from hplan.collision.coal_arm import BASE_DEPTH
 from hplan.collision.coal_scene import CoalScene
 
 #: Reason for not checking a body and an obstacle.

@@ -6,8 +6,8 @@ gravity: if it is off by :math:`\Delta g`, the torque of a revolute joint is off
 .. math:: |\Delta g| \sum_{i} m_i \, r_{ij},
 
 over the bodies i that the joint carries, of mass :math:`m_i`, with :math:`r_{ij}` the maximum distance of the centre of
-mass from the joint's axis over all configurations (`hplan.collision.reach`); 1 for a prismatic joint. If the base's
-vertical is at an angle :math:`\theta` to the world's, :math:`|\Delta g| = 2 g \sin(\theta / 2)`.
+mass from the joint's axis over all configurations (`hplan.collision.motion_coefficients`); 1 for a prismatic joint. If
+the base's vertical is at an angle :math:`\theta` to the world's, :math:`|\Delta g| = 2 g \sin(\theta / 2)`.
 
 A track rotates from one time to the next about one axis, so the height of the vertical's tip is a sine of the rotation
 angle, and its minimum is known.
@@ -22,7 +22,7 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, frozen
 from hplan.certificate.limit_use import LimitUse, fraction_of
-from hplan.collision.reach import points_reach
+from hplan.collision.motion_coefficients import points_reach
 from hplan.robot.model import Robot, made_once
 from hplan.scene.model import Scene
 from hplan.scene.tracks import Poses

@@ -16,7 +16,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray
 from hplan.certificate.goal_contact import largest_rates, tool_bends
 from hplan.certificate.motion_bound import fastest, largest_deviations
-from hplan.collision.reach import carriers, joint_axis, points_reach
+from hplan.collision.motion_coefficients import carriers, joint_axis, points_reach
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.trajectory.trajectory import Trajectory

@@ -50,10 +50,10 @@ from hplan.base.kernels import any_int, kernel
 from hplan.certificate.clearance_curve import ProvedMotion, ProvedStretch, Subject
 from hplan.certificate.clearance_proof import Advancement, place_after, point_at
 from hplan.certificate.touch_estimate import TouchEstimate, touch_estimate
-from hplan.collision.body_kernels import pose_of
 from hplan.collision.coal_scene import CoalScene
-from hplan.collision.flat_bodies import joint_table
-from hplan.collision.placed_bodies import place_joints
+from hplan.collision.compiled_bodies import joint_table
+from hplan.collision.compiled_clearance import pose_of
+from hplan.collision.compiled_placements import place_joints
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.convex_distance import SEPARATING, WORK, Wanted, core_distance
 from hplan.geometry.shape_outline import outline
@@ -389,7 +389,7 @@ def _half_spaces(
 
     Args:
         bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
-        joints: Joints from `hplan.collision.flat_bodies.joint_table`.
+        joints: Joints from `hplan.collision.compiled_bodies.joint_table`.
         points: Points of bodies and parts.
         bodies: Moving shapes.
         parts: Parts of obstacles.

@@ -14,8 +14,8 @@ import pinocchio as pin
 
 from hplan.base.arrays import FloatArray
 from hplan.certificate.pair_rules import PairRule
-from hplan.collision.arm_pairs import BASE_DEPTH, BaseBody, base_bodies
 from hplan.collision.coal_accuracy import distance_errors, extents
+from hplan.collision.coal_arm import BASE_DEPTH, BaseBody, base_bodies
 from hplan.collision.coal_cloud import distance_from
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.collision_bodies import GROUND

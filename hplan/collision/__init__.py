@@ -1,6 +1,8 @@
 """Collision bodies of any robot and their distances.
 
-Compiled kernels compute distances for the planner, coal computes them for the certificate. `collision_bodies` are
-convex cores with a radius; `reach` and `twists` bound how far and how fast joints move them; `arm_pairs` and
-`geometry_pairs` select the pairs to check.
+Both back ends read the convex bodies of `collision_bodies`, the self-collision pairs of `self_pairs` and `self_folds`,
+the `motion_coefficients` that bound how far joints move bodies, and the contacts permitted by `compliant_solids`.
+
+- `compiled_*`: numba kernels for the planner. `compiled_field` is the entry.
+- `coal_*`: coal through Pinocchio for the certificate. `coal_scene` is the entry.
 """

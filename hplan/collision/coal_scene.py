@@ -16,21 +16,21 @@ from numpy.typing import ArrayLike
 from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, TableArray, frozen
 from hplan.base.deadline import check_deadline
-from hplan.collision.arm_pairs import ArmPair, arm_parts, base_bodies, moving_bodies, supports
-from hplan.collision.box_bounds import (
+from hplan.collision.coal_accuracy import distance_errors
+from hplan.collision.coal_arm import ArmPair, arm_parts, base_bodies, moving_bodies, supports
+from hplan.collision.coal_boxes import (
     ANYWHERE,
     boxes_about,
     boxes_about_solids,
     joints_as_pinocchio,
     lower_bounds,
 )
-from hplan.collision.coal_accuracy import distance_errors
 from hplan.collision.coal_cloud import distance_from, obstacle_shapes
+from hplan.collision.coal_moving_solids import MovingSolids
+from hplan.collision.coal_pairs import GeometryPairs
 from hplan.collision.coal_shapes import beyond_geometry
-from hplan.collision.geometry_pairs import GeometryPairs
-from hplan.collision.giving_way import maximum_deflection, pushing_links
-from hplan.collision.moving_solids import MovingSolids
-from hplan.collision.touching_pairs import required_distances
+from hplan.collision.compliant_solids import maximum_deflection, pushing_links
+from hplan.collision.self_pairs import required_distances
 from hplan.errors import MovingObstacleError
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
@@ -83,7 +83,7 @@ class CoalScene:
     It has pairs of shapes and their distances.
 
     The pairs are each shape of each moving link with each obstacle, link by link; then the self-collision pairs
-    (`hplan.collision.touching_pairs`, `hplan.collision.folds`). The shapes are those of
+    (`hplan.collision.self_pairs`, `hplan.collision.self_folds`). The shapes are those of
     `hplan.collision.collision_bodies.body_shapes`. Bodies that no joint moves are not paired with obstacles here;
     `base_contacts` checks them.
 
@@ -107,7 +107,7 @@ class CoalScene:
         deviation: Maximum excess of joints over their limits [rad]; parts that can touch within it form pairs.
         clearance: Required clearance between parts of the arm [m]; parts that can come nearer form pairs.
         moving: The moving obstacles with their movements; None if no obstacle moves.
-        supported: Names of a link and an obstacle that supports it (`hplan.collision.arm_pairs.supports`); their
+        supported: Names of a link and an obstacle that supports it (`hplan.collision.coal_arm.supports`); their
             distance counts as infinite.
     """
 
@@ -257,7 +257,8 @@ class CoalScene:
 
         Args:
             name: Name of the obstacles.
-            hangs_from: Names of obstacles that become compliant for the pushing links (`hplan.collision.giving_way`).
+            hangs_from: Names of obstacles that become compliant for the pushing links
+                (`hplan.collision.compliant_solids`).
         """
         other = object.__new__(CoalScene)
         vars(other).update(vars(self))
@@ -338,7 +339,7 @@ class CoalScene:
         For a clearance, one number or (pairs,) [m].
 
         The required distance is 0 for bodies of one arm that are always closer together than the clearance
-        (`touching_pairs.required_distances`). For a compliant obstacle it is negative at any clearance.
+        (`self_pairs.required_distances`). For a compliant obstacle it is negative at any clearance.
         """
         if self._yielded is None and not np.isfinite(self.parts.maximum_distance).any():
             return clearance
@@ -420,7 +421,7 @@ class CoalScene:
     def boxes(self) -> tuple[TableArray, IntArray]:
         """Bounding boxes of bodies and obstacles; (pairs, 2) box indices.
 
-        See `box_bounds`.
+        See `coal_boxes`.
         """
         parts, count, obstacles = self.parts, self.own_first, self._built["obstacles"]
         bodies = self.robot.cache(("boxes", *parts.key), lambda: boxes_about(parts))

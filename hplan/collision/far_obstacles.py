@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from hplan.base.arrays import FloatArray
-from hplan.collision.reach import workspace_ball
+from hplan.collision.motion_coefficients import workspace_ball
 from hplan.errors import FarObstacleWarning
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Scene

@@ -17,7 +17,7 @@ import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, TableArray
 from hplan.base.kernels import kernel
-from hplan.collision.placed_bodies import place_joints
+from hplan.collision.compiled_placements import place_joints
 
 #: Tolerances of a reached pose [m, rad].
 PLACE_M, TURN_RAD = 1e-7, 1e-7
@@ -43,7 +43,7 @@ class Chain(NamedTuple):
     """Robot and pose constraint, as arrays.
 
     Attributes:
-        joints: Joints from `hplan.collision.flat_bodies.joint_table`.
+        joints: Joints from `hplan.collision.compiled_bodies.joint_table`.
         moves: (dof,) 1 for joints that may move and carry the frame, else 0.
         lower: (dof,) lower limits.
         upper: (dof,) upper limits.

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 from hplan.base import ties
 from hplan.base.arguments import check_integer, list_of, truth
 from hplan.base.arrays import FloatArray, frozen, numbers
-from hplan.collision.flat_bodies import joint_table
-from hplan.collision.reach import carriers, joint_axis
+from hplan.collision.compiled_bodies import joint_table
+from hplan.collision.motion_coefficients import carriers, joint_axis
 from hplan.errors import InputError, UnreachableError
 from hplan.kinematics.damped_steps import ABOUT_Z, KEPT, Chain, solve_all
 from hplan.robot.model import Robot

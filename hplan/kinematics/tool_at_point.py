@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arguments import check_integer, list_of
 from hplan.base.arrays import FloatArray, frozen, numbers
-from hplan.collision.reach import carriers, joint_axis
+from hplan.collision.motion_coefficients import carriers, joint_axis
 from hplan.errors import UnreachableError
 from hplan.kinematics.approach_angles import Candidates, Window
 from hplan.kinematics.damped_steps import ABOUT_Z, ANY_TURN, Chain, solve_each

@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from hplan.base.arrays import BoolArray, FloatArray, Record
 from hplan.collision.collision_bodies import GROUND, collision_bodies
-from hplan.collision.obstacle_rows import convex_solid
+from hplan.collision.compiled_obstacles import convex_solid
 from hplan.robot.model import Robot
 from hplan.scene.obstacle_kind import transform_solid
 from hplan.scene.obstacles import Solid

@@ -9,13 +9,13 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, TableArray
 from hplan.base.kernels import kernel
-from hplan.collision import obstacle_rows as row
+from hplan.collision import compiled_obstacles as row
 from hplan.geometry.segment_distance import point_hull, point_segment
 from hplan.geometry.vectors import Vector, sub, vector_of
 
 
 class Bodies(NamedTuple):
-    """Solids grown by a padding, from `hplan.collision.obstacle_rows.solid_rows`."""
+    """Solids grown by a padding, from `hplan.collision.compiled_obstacles.solid_rows`."""
 
     rows: TableArray
     data: FloatArray

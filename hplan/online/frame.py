@@ -23,8 +23,8 @@ from hplan.base.arguments import instance, number
 from hplan.base.arrays import FloatArray, Record, as_array, frozen, numbers, readonly
 from hplan.base.checked import Options
 from hplan.base.units import FARTHEST_JOINT
-from hplan.collision.obstacle_rows import solid_rows
-from hplan.collision.reach import tight_reach_ball
+from hplan.collision.compiled_obstacles import solid_rows
+from hplan.collision.motion_coefficients import tight_reach_ball
 from hplan.errors import InputError, OptionError
 from hplan.geometry.rotation import rpy_rotation
 from hplan.online.arm_shape import SweptReach, arm_solids

@@ -27,9 +27,9 @@ from hplan.base.log import LOG
 from hplan.certificate.certificate import with_violations
 from hplan.certificate.digests import Digests
 from hplan.certificate.retimed_certificate import CertifiedMotion
+from hplan.collision.compiled_obstacles import solid_rows
 from hplan.collision.far_obstacles import warn_of_far_obstacles
-from hplan.collision.obstacle_rows import solid_rows
-from hplan.collision.reach import largest_sway
+from hplan.collision.motion_coefficients import largest_sway
 from hplan.errors import (
     FrameError,
     HplanError,

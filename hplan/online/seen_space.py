@@ -31,8 +31,8 @@ import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record
 from hplan.base.kernels import inline, kernel
-from hplan.collision.obstacle_rows import solid_rows
-from hplan.collision.reach import tight_reach_ball
+from hplan.collision.compiled_obstacles import solid_rows
+from hplan.collision.motion_coefficients import tight_reach_ball
 from hplan.errors import OptionError
 from hplan.geometry.vectors import Vector
 from hplan.online.arm_shape import arm_solids

@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray
-from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.compiled_field import ClearanceField
 from hplan.errors import HplanError
 from hplan.online.planner import Planner
 from hplan.planning.options import PlanOptions

@@ -22,8 +22,8 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, inline, kernel
-from hplan.collision.body_kernels import body_slopes
-from hplan.collision.obstacle_rows import FieldArrays
+from hplan.collision.compiled_clearance import body_slopes
+from hplan.collision.compiled_obstacles import FieldArrays
 from hplan.optimization.interior_point import ProgramRows
 
 #: Number of clearance constraints in each piece, at sample points.

@@ -13,9 +13,9 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import any_int, kernel
-from hplan.collision.body_kernels import least_body_clearance
-from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.obstacle_rows import FieldArrays
+from hplan.collision.compiled_clearance import least_body_clearance
+from hplan.collision.compiled_field import ClearanceField
+from hplan.collision.compiled_obstacles import FieldArrays
 
 #: Points of comparison, as fractions of the paths' durations.
 PARTS = frozen(np.linspace(0.0, 1.0, 14)[1:-1])

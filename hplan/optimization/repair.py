@@ -13,7 +13,7 @@ import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, frozen
-from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.compiled_field import ClearanceField
 
 #: Maximum recursion depth of halving a motion.
 _HALVINGS = 3

@@ -14,9 +14,9 @@ import numpy as np
 from hplan.base.arrays import FloatArray, frozen
 from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import kernel
-from hplan.collision.body_motions import segment_is_clear
-from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.obstacle_rows import FieldArrays
+from hplan.collision.compiled_field import ClearanceField
+from hplan.collision.compiled_motions import segment_is_clear
+from hplan.collision.compiled_obstacles import FieldArrays
 
 #: Waypoints closer to each other than this are merged [rad].
 _MERGE = 1e-9

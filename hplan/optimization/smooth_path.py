@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hplan.base.arrays import FloatArray
-from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.compiled_field import ClearanceField
 from hplan.errors import CertificationError, InputError
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.push_clear import clear_spline

@@ -9,9 +9,9 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import check_deadline, kernel_time_limit
-from hplan.collision.body_motions import piece_is_clear
-from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.flat_bodies import thicker
+from hplan.collision.compiled_bodies import thicker
+from hplan.collision.compiled_field import ClearanceField
+from hplan.collision.compiled_motions import piece_is_clear
 from hplan.kinematics.damped_steps import Chain
 from hplan.optimization.constraint_rows import NEAR_LIMIT, Leaning, TorqueUse, torque_rows, with_rows
 from hplan.optimization.first_order import MotionArrays, MotionLimits, first_order, least_time_scale

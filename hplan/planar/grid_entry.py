@@ -10,7 +10,7 @@ import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.compiled_field import ClearanceField
 from hplan.errors import CertificationError
 from hplan.optimization.repair import leave_contact
 from hplan.planar.grid.grid import Occupancy

@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from hplan.base.arrays import readonly
 from hplan.collision.collision_bodies import CollisionBody, collision_bodies
-from hplan.collision.touching_pairs import required_distances, self_pairs
+from hplan.collision.self_pairs import required_distances, self_pairs
 from hplan.planar.family_reader import family_of, with_planar_arm
 from hplan.planar.self_contact import SelfContact, self_contact
 from hplan.robot.model import Robot, made_once

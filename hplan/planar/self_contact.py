@@ -4,7 +4,7 @@ Links are capsules; pairs with the arm's base are included.
 
 Pairs whose capsules *always* touch are excluded: neighbours about their joint, links held together by the links between
 them, and a link and the shape that carries its joint. Pairs of the last two kinds are checked with the URDF's shapes
-if these can touch and do not always touch (`hplan.collision.arm_pairs.shaped_pairs`). Any other pair is included if it
+if these can touch and do not always touch (`hplan.collision.coal_arm.shaped_pairs`). Any other pair is included if it
 can touch, or come nearer than the required clearance, within the joint limits widened by the tracking error. If there
 is no such pair, as for the harvester, no self-collision check is needed.
 

@@ -19,7 +19,7 @@ from hplan.base import ties
 from hplan.base.arguments import number as checked_number
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen, numbers
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
-from hplan.collision.reach import reach
+from hplan.collision.motion_coefficients import reach
 from hplan.errors import (
     CertificationError,
     ConfigurationInCollisionError,

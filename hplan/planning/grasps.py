@@ -28,7 +28,7 @@ from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
 from hplan.base.deadline import is_over
 from hplan.collision.coal_scene import Contact
 from hplan.collision.collision_bodies import collision_bodies
-from hplan.collision.reach import reach as reach_of_bodies
+from hplan.collision.motion_coefficients import reach as reach_of_bodies
 from hplan.errors import BlockedError, UnreachableError
 from hplan.kinematics.approach_angles import Candidates
 from hplan.kinematics.inverse_kinematics import inverse_kinematics

@@ -12,8 +12,8 @@ from hplan.base.deadline import Cancel, TimeIsUpError, TimeLimit, time_limit
 from hplan.base.log import LOG
 from hplan.certificate.certificate import GoalContact, certify, goal_contacts
 from hplan.certificate.digests import Digests
+from hplan.collision.compliant_solids import check_yield_links
 from hplan.collision.far_obstacles import warn_of_far_obstacles
-from hplan.collision.giving_way import check_yield_links
 from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
 from hplan.planning.at_risk import within_risk
 from hplan.planning.in_time import past_moving_obstacles

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen, readonly
-from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.compiled_field import ClearanceField
 from hplan.errors import InputError
 from hplan.optimization.several_starts import StartsEffort
 from hplan.planning.effort import Effort, efforts_of

@@ -18,8 +18,8 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import any_int, kernel
-from hplan.collision.body_motions import shown_part, straight_piece
-from hplan.collision.obstacle_rows import FieldArrays
+from hplan.collision.compiled_motions import shown_part, straight_piece
+from hplan.collision.compiled_obstacles import FieldArrays
 from hplan.kinematics.damped_steps import Chain, solve
 from hplan.planning.problem import Problem
 

@@ -33,9 +33,9 @@ from numpy.typing import NDArray
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen
 from hplan.base.deadline import check_deadline
 from hplan.base.kernels import kernel
-from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.giving_way import LinkedSolids
-from hplan.collision.moving_solids import largest_interval_rates
+from hplan.collision.coal_moving_solids import largest_interval_rates
+from hplan.collision.compiled_field import ClearanceField
+from hplan.collision.compliant_solids import LinkedSolids
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import Sigmas, growths, transform_solid

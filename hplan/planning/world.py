@@ -20,10 +20,10 @@ from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import check_deadline
 from hplan.certificate.motion_bound import pair_sways
 from hplan.certificate.moving_obstacles import leaving_of
-from hplan.collision.arm_pairs import BASE_DEPTH, base_radius
-from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.coal_arm import BASE_DEPTH, base_radius
 from hplan.collision.coal_scene import CoalScene, Leaving, OwnContact, base_contacts
-from hplan.collision.giving_way import LinkedSolids
+from hplan.collision.compiled_field import ClearanceField
+from hplan.collision.compliant_solids import LinkedSolids
 from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.planning.options import PlanOptions
 from hplan.robot.files import neighbouring_links

@@ -69,7 +69,7 @@ class Fruit(Item):
         radius: Radius [m].
         sigma: Standard deviation of each coordinate of its position [m].
         hangs_from: Names of the obstacles that the fruit is attached to. They are compliant for a task that may touch
-            this fruit: up to their own `yields`, or `hplan.collision.giving_way.HANGING_M` if that is 0.
+            this fruit: up to their own `yields`, or `hplan.collision.compliant_solids.HANGING_M` if that is 0.
 
     Examples:
         >>> from hplan.scene import Fruit

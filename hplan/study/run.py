@@ -11,7 +11,7 @@ from typing import Any
 
 from hplan.base.arguments import file_path, instance
 from hplan.base.tasks import Pool, outcomes, pool_of
-from hplan.collision.reach import workspace_ball
+from hplan.collision.motion_coefficients import workspace_ball
 from hplan.errors import HplanError, TourError, WorkersLostError
 from hplan.planning.failures import REASONS, Reason, obstacle_of, reason_of, tally_reasons
 from hplan.planning.options import PlanOptions

@@ -27,7 +27,7 @@ from hplan.base.arguments import instance
 from hplan.base.arrays import Record
 from hplan.base.checked import Options
 from hplan.base.tasks import Pool, outcomes, pool_of
-from hplan.collision.reach import workspace_ball
+from hplan.collision.motion_coefficients import workspace_ball
 from hplan.errors import HplanError, InputError, MovingObstacleError, OptionError, TourError
 from hplan.planning.failures import REASON_WORDS, REASONS, Reason, tally_reasons
 from hplan.planning.options import PlanOptions

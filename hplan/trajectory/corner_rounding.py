@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arguments import number
 from hplan.base.arrays import FloatArray, numbers, readonly
-from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.compiled_field import ClearanceField
 from hplan.errors import CertificationError, InputError
 from hplan.geometry.polyline import stations
 from hplan.trajectory.spline import SplinePath, first_contact

@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike
 from hplan.base.arrays import BoolArray, FloatArray, Record, frozen, readonly
 from hplan.base.deadline import check_deadline
 from hplan.base.kernels import kernel
-from hplan.collision.body_motions import piece_is_clear
-from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.obstacle_rows import FieldArrays
+from hplan.collision.compiled_field import ClearanceField
+from hplan.collision.compiled_motions import piece_is_clear
+from hplan.collision.compiled_obstacles import FieldArrays
 from hplan.errors import InputError
 from hplan.geometry.polyline import curve_length, stations
 from hplan.trajectory.cubics import bezier_piece, bezier_pieces, evaluate

@@ -29,7 +29,7 @@ import numpy as np
 
 from hplan.base.arguments import is_number, number
 from hplan.base.arrays import FloatArray, numbers
-from hplan.collision.reach import largest_sway
+from hplan.collision.motion_coefficients import largest_sway
 from hplan.errors import InputError, OptionError
 from hplan.robot.model import Robot
 from hplan.trajectory.cubics import Rows, accelerations, joined_rows, points_of, sample_spline

@@ -36,9 +36,9 @@ from hplan.certificate.goal_contact import FruitContact
 from hplan.certificate.limit_use import LimitUse, limit_use
 from hplan.certificate.motion_bound import fastest
 from hplan.certificate.moving_obstacles import checker_in_time
-from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.collision_bodies import CollisionBody, collision_bodies
-from hplan.collision.touching_pairs import self_pairs
+from hplan.collision.compiled_field import ClearanceField
+from hplan.collision.self_pairs import self_pairs
 from hplan.errors import InputError, OptionError
 from hplan.geometry.hull import CUBE_CORNERS, whole_hull
 from hplan.geometry.rotation import rpy_rotation

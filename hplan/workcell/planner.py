@@ -23,8 +23,8 @@ import numpy as np
 from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
-from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
+from hplan.collision.compiled_field import ClearanceField
 from hplan.errors import (
     CertificationError,
     ConfigurationInCollisionError,

@@ -33,7 +33,7 @@ import numpy as np
 import hplan
 from hplan.apps.execution.simulated_arm import CONTROL_PERIOD, Plant, SimulatedArm, Touch
 from hplan.certificate.retimed_certificate import CertifiedMotion
-from hplan.collision.obstacle_rows import solid_rows
+from hplan.collision.compiled_obstacles import solid_rows
 from hplan.errors import ConfigurationInCollisionError, HplanError, NotInTimeError
 from hplan.online.body_distances import distances_from_bodies
 from hplan.online.frame import CloudOptions

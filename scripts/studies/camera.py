@@ -25,7 +25,7 @@ from studies.trees import DISTANCES, Orchard, crop_of, measured_orchard, shipped
 
 from hplan.apps.execution.simulated_arm import SimulatedArm
 from hplan.base.arrays import FloatArray
-from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.compiled_field import ClearanceField
 from hplan.errors import HplanError
 from hplan.online.frame import CloudOptions
 from hplan.online.planner import Planner

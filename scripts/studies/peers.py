@@ -18,7 +18,7 @@ from studies.outside import TimedMotion, contacts, findings
 
 from hplan.base.arrays import FloatArray
 from hplan.base.lazy_import import extra
-from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.compiled_field import ClearanceField
 from hplan.errors import HplanError
 from hplan.geometry.polyline import stations
 from hplan.optimization.shortcut import shorten

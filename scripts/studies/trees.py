@@ -22,7 +22,7 @@ from studies.peers import peer_row
 
 from hplan.base.arrays import FloatArray
 from hplan.base.data_files import scenes_dir
-from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.compiled_field import ClearanceField
 from hplan.errors import HplanError, InputError, OptionError, UnreachableError
 from hplan.planar.inverse_kinematics import reach
 from hplan.planning.grasps import straight_approaches

@@ -25,8 +25,8 @@ from hplan.certificate.motion_bound import largest_deviations, motion_of_movers
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import solid_shape
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
-from hplan.collision.reach import ON_AXIS, is_moved, joints_between, reach, workspace_ball
-from hplan.collision.touching_pairs import required_distances, self_pairs
+from hplan.collision.motion_coefficients import ON_AXIS, is_moved, joints_between, reach, workspace_ball
+from hplan.collision.self_pairs import required_distances, self_pairs
 from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.geometry.cloud import Cloud
 from hplan.online.arm_shape import arm_solids

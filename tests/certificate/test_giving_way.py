@@ -11,7 +11,7 @@ from segments import segment_distances
 
 from hplan.certificate.certificate import certify
 from hplan.certificate.digests import scene_digest
-from hplan.collision.giving_way import HANGING_M, maximum_deflection, pushing_links
+from hplan.collision.compliant_solids import HANGING_M, maximum_deflection, pushing_links
 from hplan.errors import BlockedError, ConfigurationInCollisionError, OptionError, SceneError
 from hplan.planar.family_reader import family_of
 from hplan.planar.grid.sections import sections_at

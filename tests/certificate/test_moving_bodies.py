@@ -13,8 +13,8 @@ from fitted_arms import Bodies, box, distance, fitted, mesh, quintic, scene_of
 from studies.planar_cspace import joint_grid
 
 from hplan.certificate.certificate import certify
-from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
+from hplan.collision.compiled_field import ClearanceField
 from hplan.errors import ConfigurationInCollisionError, NoPathError
 from hplan.geometry.hull import CUBE_CORNERS
 from hplan.geometry.lipschitz import is_always_within, may_reach

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 
 from hplan.base.data_files import urdf_dir
 from hplan.certificate.certificate import certify
-from hplan.collision.arm_pairs import base_radius
 from hplan.collision.coal_accuracy import CURVED, ITERATION, PARALLEL, SIZE, distance_errors, extents
+from hplan.collision.coal_arm import base_radius
 from hplan.collision.coal_cloud import BareShape, PointBlocks, distance_from, nearest_block
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.collision.coal_shapes import solid_shape

@@ -13,9 +13,9 @@ from any_arms import ARMS, limb, loaded_arm
 from shapes import torus
 
 from hplan.collision.collision_bodies import MOST_BODY_POINTS, body_shapes, collision_bodies
-from hplan.collision.flat_bodies import FlatBodies
-from hplan.collision.reach import ON_AXIS, carriers, joint_axis, reach
-from hplan.collision.touching_pairs import required_distances, self_pairs
+from hplan.collision.compiled_bodies import FlatBodies
+from hplan.collision.motion_coefficients import ON_AXIS, carriers, joint_axis, reach
+from hplan.collision.self_pairs import required_distances, self_pairs
 from hplan.robot.model import load_robot
 
 

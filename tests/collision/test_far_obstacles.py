@@ -14,7 +14,7 @@ import pytest
 from hplan import Planner, certify, plan
 from hplan.apps.cli.main import main
 from hplan.collision.far_obstacles import far_obstacles
-from hplan.collision.reach import workspace_ball
+from hplan.collision.motion_coefficients import workspace_ball
 from hplan.errors import FarObstacleWarning
 from hplan.robot.model import Robot
 from hplan.scene.file import save_scene

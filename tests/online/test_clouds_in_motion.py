@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from hplan.collision.reach import tight_reach_ball
+from hplan.collision.motion_coefficients import tight_reach_ball
 from hplan.errors import HplanError, InputError, OptionError
 from hplan.online.arm_shape import SweptReach
 from hplan.online.frame import CloudOptions

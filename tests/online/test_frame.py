@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hplan.collision.coal_cloud import distance_from
-from hplan.collision.obstacle_rows import solid_rows
-from hplan.collision.reach import tight_reach_ball
+from hplan.collision.compiled_obstacles import solid_rows
+from hplan.collision.motion_coefficients import tight_reach_ball
 from hplan.errors import InputError
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.hull import hull_of

@@ -10,7 +10,7 @@ import pytest
 
 from hplan import Planner, PlanOptions
 from hplan.collision.coal_cloud import PointBlocks
-from hplan.collision.reach import tight_reach_ball
+from hplan.collision.motion_coefficients import tight_reach_ball
 from hplan.errors import InputError, NoPathError
 from hplan.geometry.cloud import Cloud
 from hplan.online.frame import CloudOptions

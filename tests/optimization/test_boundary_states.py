@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 
 from hplan.certificate.limit_use import limit_use
-from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.compiled_field import ClearanceField
 from hplan.optimization.constraint_rows import ALLOWED, TorqueUse, torque_rows
 from hplan.optimization.first_order import NEAR, PLACES, SCALE, MotionArrays, MotionLimits, first_order
 from hplan.optimization.minimize_time import Level, OptimizerEffort, minimize_time

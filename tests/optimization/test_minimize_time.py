@@ -16,7 +16,7 @@ import hplan
 from hplan.base.arrays import FloatArray
 from hplan.base.deadline import NEVER
 from hplan.certificate.limit_use import limit_use
-from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.compiled_field import ClearanceField
 from hplan.kinematics.damped_steps import UPRIGHT
 from hplan.kinematics.inverse_kinematics import chain_of
 from hplan.optimization.coarse_profile import coarse_profile

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.compiled_field import ClearanceField
 from hplan.optimization.path_classes import BETWEEN, class_numbers
 from hplan.scene.obstacles import Sphere
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
+from hplan.collision.compiled_field import ClearanceField
 from hplan.optimization.repair import leave_contact, repair
 from hplan.planar.family_reader import family_of
 from hplan.robot.model import Robot, load_robot

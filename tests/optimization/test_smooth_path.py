@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
+from hplan.collision.compiled_field import ClearanceField
 from hplan.errors import CertificationError
 from hplan.geometry.polyline import path_length
 from hplan.optimization import coarse_profile as coarse

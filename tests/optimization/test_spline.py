@@ -8,9 +8,9 @@ from arm_variants import random_obstacles
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hplan.collision.body_motions import piece_is_clear
-from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
+from hplan.collision.compiled_field import ClearanceField
+from hplan.collision.compiled_motions import piece_is_clear
 from hplan.optimization.timed_spline import TimedSpline, breaks_at_rows, even_breaks
 from hplan.robot.dynamics import InverseDynamics
 from hplan.scene.obstacles import Sphere

@@ -10,8 +10,8 @@ import pytest
 from planned import frame_about_upper_arm, posed, task
 
 import hplan.planar.grids
-from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
+from hplan.collision.compiled_field import ClearanceField
 from hplan.errors import NoPathError
 from hplan.planar.grid.grid import Grid, Occupancy
 from hplan.planar.grid_entry import joined_nodes

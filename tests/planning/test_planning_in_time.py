@@ -12,8 +12,8 @@ from fitted_arms import box, fitted
 from planned import assert_within_limits, task
 
 from hplan.certificate.certificate import certify
-from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.reach import is_moved
+from hplan.collision.compiled_field import ClearanceField
+from hplan.collision.motion_coefficients import is_moved
 from hplan.errors import ConfigurationInCollisionError, ObstacleInTimeError
 from hplan.online.planner import Planner
 from hplan.planning.in_time import among_poses, without_moving

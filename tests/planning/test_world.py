@@ -14,9 +14,9 @@ from planned import post, problem_between
 
 from hplan.base.arrays import FloatArray
 from hplan.certificate.motion_bound import pair_sways
-from hplan.collision.body_kernels import FAR
-from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene, base_contacts
+from hplan.collision.compiled_clearance import FAR
+from hplan.collision.compiled_field import ClearanceField
 from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.planar.family_reader import family_of, with_planar_arm
 from hplan.planar.grid.sections import sections_at

@@ -18,7 +18,7 @@ from toy_urdf import seven_axis_arm, six_axis_arm
 from hplan.base.data_files import robot_names, shipped_limits, shipped_robots
 from hplan.base.yaml_text import read_yaml
 from hplan.collision.collision_bodies import collision_bodies
-from hplan.collision.touching_pairs import self_pairs
+from hplan.collision.self_pairs import self_pairs
 from hplan.errors import InputError, RobotFamilyError, RobotFileError, RobotFileWarning
 from hplan.planar.family_reader import family_of, is_planar
 from hplan.robot.dynamics import InverseDynamics

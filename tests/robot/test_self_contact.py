@@ -17,10 +17,10 @@ from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.certificate.certificate import certify
 from hplan.certificate.motion_bound import motion_of_movers
-from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.collision_bodies import collision_bodies
-from hplan.collision.touching_pairs import required_distances, self_pairs
+from hplan.collision.compiled_field import ClearanceField
+from hplan.collision.self_pairs import required_distances, self_pairs
 from hplan.geometry.shape_outline import coal_distance
 from hplan.planar.base_shapes import turning_shapes
 from hplan.planar.family_reader import family_of

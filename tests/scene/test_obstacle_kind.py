@@ -15,8 +15,8 @@ from shapes import ball, distances, uncovered
 from hplan.apps.ros.marked_scene import scene_markers
 from hplan.apps.view import scenery
 from hplan.base.arrays import readonly
-from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
+from hplan.collision.compiled_field import ClearanceField
 from hplan.errors import SceneError
 from hplan.geometry.cloud import MERGE_ERROR, Cloud
 from hplan.geometry.hull import HULL_VERTICES, hull_of

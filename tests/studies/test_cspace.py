@@ -20,7 +20,7 @@ from studies.validation.cspace import (
     random_scene,
 )
 
-from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.compiled_field import ClearanceField
 from hplan.planar.family_reader import family_of
 from hplan.planar.grid.grid import Grid, Occupancy
 from hplan.planar.grid.occupancy import occupancy

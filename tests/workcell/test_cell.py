@@ -18,7 +18,7 @@ from hplan.certificate.clearance_proof import point_at
 from hplan.certificate.motion_bound import motion_of_movers
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.collision_bodies import collision_bodies
-from hplan.collision.touching_pairs import self_pairs
+from hplan.collision.self_pairs import self_pairs
 from hplan.errors import (
     CertificationError,
     ConfigurationInCollisionError,

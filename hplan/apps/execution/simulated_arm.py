@@ -18,7 +18,7 @@ from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray, IntArray, numbers
 from hplan.base.checked import NotNegative, Options, Positive
 from hplan.base.lazy_import import extra
-from hplan.collision.giving_way import maximum_deflection, pushing_links
+from hplan.collision.compliant_solids import maximum_deflection, pushing_links
 from hplan.errors import InputError, RobotFileError
 from hplan.geometry.cloud import Cloud
 from hplan.robot.model import Robot

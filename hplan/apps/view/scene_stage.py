@@ -30,7 +30,7 @@ from hplan.apps.view.playback import Playback
 from hplan.apps.view.three_js import Body, Json
 from hplan.base.arrays import FloatArray
 from hplan.collision.collision_bodies import collision_bodies
-from hplan.collision.reach import workspace_ball
+from hplan.collision.motion_coefficients import workspace_ball
 from hplan.geometry.hull import CUBE_CORNERS
 from hplan.geometry.polyline import stations
 from hplan.robot.dynamics import joint_axis

@@ -3,8 +3,9 @@ r"""Cells of a joint grid that a motion can reach in time.
 No motion passes the cells that are entirely in contact. They are in contact for all values of the joints without an
 axis. The configurations of a box differ from its center by at most half of its size, :math:`e_j` in joint :math:`j`.
 Body :math:`k` of the arm is therefore nowhere farther than :math:`s_k = \sum_j R_{kj} e_j` from its position at the
-center, with the motion-bound coefficients :math:`R` (`hplan.collision.reach`), and its clearance (negative by the depth
-in contact) is nowhere larger by more than that. If it is below :math:`-s_k` at the center, the whole box is in contact.
+center, with the motion-bound coefficients :math:`R` (`hplan.collision.motion_coefficients`), and its clearance
+(negative by the depth in contact) is nowhere larger by more than that. If it is below :math:`-s_k` at the center, the
+whole box is in contact.
 
 A cell is divided into parts for this test, and so are the ranges of the joints without an axis: it is entirely in
 contact if each part is. Along the first axis clearances change by at most :math:`R_{kj}` per radian, which decides the
@@ -23,8 +24,8 @@ import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, WordArray
 from hplan.base.kernels import any_int, kernel
-from hplan.collision.body_kernels import body_clearances
-from hplan.collision.obstacle_rows import FieldArrays
+from hplan.collision.compiled_clearance import body_clearances
+from hplan.collision.compiled_obstacles import FieldArrays
 
 #: Accuracy of the kernels' distances, including the thickness added to flat hulls [m].
 ACCURACY = 1e-4

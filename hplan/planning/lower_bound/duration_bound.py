@@ -16,9 +16,9 @@ import pinocchio as pin
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.certificate.certificate import LIMIT_TOLERANCE
-from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.collision_bodies import collision_bodies
-from hplan.collision.reach import joint_axis
+from hplan.collision.compiled_field import ClearanceField
+from hplan.collision.motion_coefficients import joint_axis
 from hplan.errors import BoundError
 from hplan.planning.lower_bound.cells import AXES
 from hplan.planning.lower_bound.grid_search import GridSearch, TimedGrid

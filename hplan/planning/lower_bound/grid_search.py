@@ -8,7 +8,7 @@ import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, Record, WordArray, frozen
-from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.compiled_field import ClearanceField
 from hplan.planning.lower_bound.cells import AXES, ClearCells, Samples, is_reachable, take_occupied
 from hplan.planning.lower_bound.joint_tubes import JointMotions
 

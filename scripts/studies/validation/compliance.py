@@ -15,7 +15,7 @@ from studies.validation.judge import TICK_S, Arm, Body, Contact, SampledMotion, 
 from studies.validation.motions import COUNTED, Tally
 
 from hplan.certificate.certificate import certify
-from hplan.collision.giving_way import HANGING_M
+from hplan.collision.compliant_solids import HANGING_M
 from hplan.errors import BlockedError, HplanError
 from hplan.planar.family_reader import family_of
 from hplan.planning.options import PlanOptions

@@ -4,7 +4,7 @@ Configurations are the nodes of small planar grids with random offsets at random
 decide whether it is free:
 
 - the intervals of `hplan.planar.grid.occupancy`, on the sections of the obstacles at that yaw;
-- the sign of the distance of `hplan.collision.clearance_field`;
+- the sign of the distance of `hplan.collision.compiled_field`;
 - coal, on capsule links placed by Pinocchio, which shares no formula with the other two. It checks the solids, the
   original triangles of meshes, and all points of clouds.
 
@@ -24,10 +24,10 @@ from studies.harness import Row, Study, StudyConfig
 from studies.validation.random_worlds import direction, draw_obstacle, log_uniform, obstacle_of
 
 from hplan.base.arrays import BoolArray, FloatArray
-from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.coal_pairs import GeometryPairs
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import triangle_tree
-from hplan.collision.geometry_pairs import GeometryPairs
+from hplan.collision.compiled_field import ClearanceField
 from hplan.geometry.cloud import Cloud
 from hplan.planar.family_reader import family_of
 from hplan.planar.grid.grid import Grid

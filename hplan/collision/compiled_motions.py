@@ -1,10 +1,10 @@
 """Kernels that verify motions as collision-free by conservative advancement.
 
-The clearance at a configuration verifies a segment of the motion before and after it (`hplan.collision.motion_cover`).
-A query in the middle often verifies the whole motion. Otherwise the queries advance from the start: the next one lies
-far enough ahead that the segment verified backward from it should meet the verified part; if it does not, a nearer
-query follows. Each query asks only for a segment a little longer than the previous one, because many cheap queries
-prove a motion faster than few expensive ones.
+The clearance at a configuration verifies a segment of the motion before and after it
+(`hplan.collision.compiled_cover`). A query in the middle often verifies the whole motion. Otherwise the queries advance
+from the start: the next one lies far enough ahead that the segment verified backward from it should meet the verified
+part; if it does not, a nearer query follows. Each query asks only for a segment a little longer than the previous one,
+because many cheap queries prove a motion faster than few expensive ones.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ import numpy as np
 from hplan.base.arrays import BoolArray, FloatArray
 from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, kernel
-from hplan.collision import obstacle_rows as row
-from hplan.collision.body_kernels import segment_of
-from hplan.collision.motion_cover import Moving, Part, moving_arm, part_shown_clear
-from hplan.collision.obstacle_rows import FieldArrays
-from hplan.collision.placed_bodies import PLACED, place_bodies
-from hplan.collision.twists import motion_bends
+from hplan.collision import compiled_obstacles as row
+from hplan.collision.compiled_clearance import segment_of
+from hplan.collision.compiled_cover import Moving, Part, moving_arm, part_shown_clear
+from hplan.collision.compiled_obstacles import FieldArrays
+from hplan.collision.compiled_placements import PLACED, place_bodies
+from hplan.collision.compiled_twists import motion_bends
 from hplan.geometry.segment_distance import point_segment
 from hplan.geometry.vectors import vector_of
 
@@ -49,7 +49,7 @@ class Run(NamedTuple):
         moving: The arm in motion, with its bounds on speed and acceleration.
         q: (dof,) buffer for a configuration.
         rates: (dof,) buffer for the joint rates there.
-        until: Deadline, as in `hplan.collision.obstacle_rows.FieldArrays`.
+        until: Deadline, as in `hplan.collision.compiled_obstacles.FieldArrays`.
     """
 
     piece: FloatArray

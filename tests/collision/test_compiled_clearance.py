@@ -11,14 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hplan.base.arrays import FloatArray
-from hplan.collision.body_kernels import FAR, body_slopes
-from hplan.collision.body_motions import piece_is_clear, segment_is_clear
-from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_shapes import beyond_geometry, solid_shape
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
-from hplan.collision.placed_bodies import PLACED, place_bodies
-from hplan.collision.reach import is_moved
-from hplan.collision.touching_pairs import self_pairs
+from hplan.collision.compiled_clearance import FAR, body_slopes
+from hplan.collision.compiled_field import ClearanceField
+from hplan.collision.compiled_motions import piece_is_clear, segment_is_clear
+from hplan.collision.compiled_placements import PLACED, place_bodies
+from hplan.collision.motion_coefficients import is_moved
+from hplan.collision.self_pairs import self_pairs
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.hull import hull_of
 from hplan.robot.model import Robot

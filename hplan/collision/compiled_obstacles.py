@@ -68,7 +68,7 @@ _Lengths = TypeVar("_Lengths", float, FloatArray)
 
 
 class FieldArrays(NamedTuple):
-    """The arrays of a `hplan.collision.clearance_field.ClearanceField` that kernels read.
+    """The arrays of a `hplan.collision.compiled_field.ClearanceField` that kernels read.
 
     `until` is their deadline (`hplan.base.deadline`): results reached before it hold; after it nothing is verified.
     """
@@ -140,7 +140,7 @@ def rows_of(
             obstacles.
 
     Returns:
-        `solids`, `data` and `owner` of `hplan.collision.clearance_field.ClearanceField`.
+        `solids`, `data` and `owner` of `hplan.collision.compiled_field.ClearanceField`.
     """
     stack = _Stack()
     grown = np.broadcast_to(np.asarray(clearance, dtype=np.float64), (len(obstacles),)).tolist()

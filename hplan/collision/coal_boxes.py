@@ -3,7 +3,7 @@
 Each shape lies in an oriented box grown by a radius. Projected on the axes of one of two boxes, the other one lies in a
 box along these axes too, and the distance of two boxes with the same axes follows from their gap along each axis. This
 distance minus both radii is at most the distance of the two shapes; the bound is the larger one of the two projections.
-`hplan.collision.placed_bodies` places the joints, so a query does not wait for Pinocchio.
+`hplan.collision.compiled_placements` places the joints, so a query does not wait for Pinocchio.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, IntArray, TableArray, frozen
 from hplan.base.kernels import kernel
-from hplan.collision.arm_pairs import ArmParts
-from hplan.collision.flat_bodies import joint_table
-from hplan.collision.placed_bodies import place_joints
+from hplan.collision.coal_arm import ArmParts
+from hplan.collision.compiled_bodies import joint_table
+from hplan.collision.compiled_placements import place_joints
 from hplan.errors import RobotFileError
 from hplan.geometry.cloud import Cloud
 from hplan.robot.model import Robot, made_once

@@ -10,14 +10,14 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from segments import segment_to_box, vector
 
-import hplan.collision.geometry_pairs as module
-from hplan.collision import arm_pairs, box_bounds
-from hplan.collision.body_kernels import off_body, off_row
+import hplan.collision.coal_pairs as module
+from hplan.collision import coal_arm, coal_boxes
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import capsule_shapes, solid_shape
-from hplan.collision.flat_bodies import joint_table
-from hplan.collision.obstacle_rows import BOX, OBSTACLE
-from hplan.collision.placed_bodies import PLACED
+from hplan.collision.compiled_bodies import joint_table
+from hplan.collision.compiled_clearance import off_body, off_row
+from hplan.collision.compiled_obstacles import BOX, OBSTACLE
+from hplan.collision.compiled_placements import PLACED
 from hplan.errors import RobotFileError
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.rotation import rpy_rotation
@@ -112,13 +112,13 @@ def test_no_bound_is_above_the_distance_and_most_are_near_it(robot, kind, tmp_pa
 @pytest.mark.parametrize("name", ["toy", "lift"])
 def test_robot_with_displaced_joints_gets_no_bounds(name, tmp_path_factory, monkeypatch):
     arm = loaded_arm(name, tmp_path_factory)
-    assert (box_bounds.joints_as_pinocchio(arm) == joint_table(arm)).all()
+    assert (coal_boxes.joints_as_pinocchio(arm) == joint_table(arm)).all()
     for column, at in (("cosine", 1), ("position", 0)):
         wrong = joint_table(arm).copy()
         wrong[column][0, at] += 1e-6
-        monkeypatch.setattr(box_bounds, "joint_table", lambda _, wrong=wrong: wrong)
+        monkeypatch.setattr(coal_boxes, "joint_table", lambda _, wrong=wrong: wrong)
         with pytest.raises(RobotFileError, match=arm.joint_names[0]):
-            box_bounds.joints_as_pinocchio.__wrapped__(arm)
+            coal_boxes.joints_as_pinocchio.__wrapped__(arm)
 
 
 def test_nearest_pair_is_that_of_all_distances(robot):
@@ -202,7 +202,7 @@ def test_scenes_that_share_a_model_of_the_arms_own_pairs_answer_each_for_itself(
     rng = np.random.default_rng(9)
     obstacles = random_obstacles(rng, 4)
     alone = CoalScene(wide, obstacles)
-    monkeypatch.setattr(arm_pairs, "_MANY", 1)
+    monkeypatch.setattr(coal_arm, "_MANY", 1)
     monkeypatch.delitem(vars(alone.parts), "shape_pairs")
     first, second = CoalScene(wide, obstacles), CoalScene(wide, [])
     assert isinstance(first.parts.shape_pairs, module.ArmPairs)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hplan.base.arrays import FloatArray, TableArray
 from hplan.base.kernels import kernel
-from hplan.collision.obstacle_rows import FieldArrays
+from hplan.collision.compiled_obstacles import FieldArrays
 from hplan.geometry.vectors import cross
 
 #: Columns of a moving frame: after the pose the angular velocity of the bodies that the joint carries, and the velocity

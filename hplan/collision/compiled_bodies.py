@@ -9,9 +9,9 @@ import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, Record, TableArray, frozen
 from hplan.collision.collision_bodies import GROUND, CollisionBody, ball_about, capsule_about, collision_bodies
-from hplan.collision.folds import Fold, folds
-from hplan.collision.reach import carriers, is_moved, joint_axis, points_reach
-from hplan.collision.touching_pairs import required_distances, self_pairs
+from hplan.collision.motion_coefficients import carriers, is_moved, joint_axis, points_reach
+from hplan.collision.self_folds import Fold, folds
+from hplan.collision.self_pairs import required_distances, self_pairs
 from hplan.geometry.convex_distance import corner_table
 from hplan.robot.model import Robot, made_once
 
@@ -75,10 +75,10 @@ class FlatBodies(Record):
 
     Attributes:
         bodies: (bodies,) rows of `BODY`, in the order of `collision_bodies`, then the parts of neighbouring links that
-            must not touch (`hplan.collision.folds`).
+            must not touch (`hplan.collision.self_folds`).
         pairs: (pairs,) rows of `PAIR`, the checked self-collision pairs, those of the parts last.
         joints: (dof,) rows of `JOINT`.
-        reaches: (bodies + pairs, dof) motion-bound coefficients (`hplan.collision.reach`).
+        reaches: (bodies + pairs, dof) motion-bound coefficients (`hplan.collision.motion_coefficients`).
         points: Coordinates of the points of all bodies, each with its table.
     """
 

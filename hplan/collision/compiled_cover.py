@@ -9,11 +9,12 @@ body has come nearer to the plane than
     \qquad \max_x \left(-n \cdot (v + \omega \times x)\right) \le -n \cdot v + |n \times \omega| \, r,
 
 by Taylor's theorem along :math:`n`. :math:`A` bounds the accelerations of the body's points over the whole motion
-(`hplan.collision.twists.motion_bends`) and :math:`r` is the ball's radius, for a rounded body the radius of its core's
-ball: the rounding adds the same to all distances from planes. So until this bound, minus half of the margin, is used
-up, the two stay half of the margin apart; for the time before, the same holds with reversed velocities. Points also
-move no farther, in any direction, than the motion-bound coefficients of the joints allow (`hplan.collision.reach`).
-The first bound is strong for bodies that move along a surface or away from it, the second for bodies that are far away.
+(`hplan.collision.compiled_twists.motion_bends`) and :math:`r` is the ball's radius, for a rounded body the radius of
+its core's ball: the rounding adds the same to all distances from planes. So until this bound, minus half of the margin,
+is used up, the two stay half of the margin apart; for the time before, the same holds with reversed velocities. Points
+also move no farther, in any direction, than the motion-bound coefficients of the joints allow
+(`hplan.collision.motion_coefficients`). The first bound is strong for bodies that move along a surface or away from it,
+the second for bodies that are far away.
 
 A self-collision pair is expressed in the inner body's frame, in which only the joints between the two bodies move the
 outer one. If neither body carries the other, only the motion-bound coefficients are used.
@@ -28,8 +29,8 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, TableArray
 from hplan.base.kernels import any_int, inline, kernel
-from hplan.collision import obstacle_rows as row
-from hplan.collision.body_kernels import (
+from hplan.collision import compiled_obstacles as row
+from hplan.collision.compiled_clearance import (
     NO_TABLE,
     BodyArrays,
     difference,
@@ -40,9 +41,9 @@ from hplan.collision.body_kernels import (
     segment_of,
     span_of,
 )
-from hplan.collision.obstacle_rows import FieldArrays
-from hplan.collision.placed_bodies import PLACED, place_bodies
-from hplan.collision.twists import MOVING, TWIST, find_twists
+from hplan.collision.compiled_obstacles import FieldArrays
+from hplan.collision.compiled_placements import PLACED, place_bodies
+from hplan.collision.compiled_twists import MOVING, TWIST, find_twists
 from hplan.geometry.convex_distance import NEAREST, SEPARATING, WORK, Span, Wanted, core_distance
 from hplan.geometry.segment_distance import point_segment
 from hplan.geometry.sweep import Sweep, used_up

@@ -1,6 +1,6 @@
 """Kernels for clearances of moving bodies at a configuration and their gradients.
 
-The moving bodies are the arm's bodies (`hplan.collision.flat_bodies`) followed by its self-collision pairs. The
+The moving bodies are the arm's bodies (`hplan.collision.compiled_bodies`) followed by its self-collision pairs. The
 distance of a pair is expressed in the frame of one of its bodies, so a joint that carries both does not count as
 motion. Bodies and obstacles are convex hulls of points grown by a radius; their distance is the distance of the hulls
 (`hplan.geometry.convex_distance`) minus both radii. Checks run from cheap to exact: bounding balls first, then the
@@ -8,7 +8,7 @@ axis segments of the bodies, whose distance from points, segments and boxes has 
 capsules, a lower bound for other shapes), then GJK until a direction separates the hulls by the required clearance.
 
 **Clamping.** Distances are clamped to `enough`: a query stops once the clearance is known to be at least that.
-(`hplan.collision.motion_cover` finds the collision-free part of a motion with far less work.)
+(`hplan.collision.compiled_cover` finds the collision-free part of a motion with far less work.)
 
 **Depth.** The penetration depth of two overlapping hulls is the minimum translation that separates them
 (`hplan.geometry.penetration`), plus both radii.
@@ -24,10 +24,10 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray, TableArray
 from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, inline, kernel
-from hplan.collision import flat_bodies as flat
-from hplan.collision import obstacle_rows as row
-from hplan.collision.obstacle_rows import FieldArrays
-from hplan.collision.placed_bodies import PLACED, place_bodies
+from hplan.collision import compiled_bodies as flat
+from hplan.collision import compiled_obstacles as row
+from hplan.collision.compiled_obstacles import FieldArrays
+from hplan.collision.compiled_placements import PLACED, place_bodies
 from hplan.geometry.convex_distance import NEAREST, ON_FIRST, WORK, Span, Wanted, core_distance
 from hplan.geometry.penetration import penetration
 from hplan.geometry.segment_distance import off_box, off_segment, point_segment
@@ -57,12 +57,12 @@ class BodyArrays(NamedTuple):
     """An arm among obstacles, with the buffers of the kernels.
 
     Attributes:
-        bodies: Moving bodies, as in `hplan.collision.flat_bodies.FlatBodies`.
-        pairs: Self-collision pairs, as in `hplan.collision.flat_bodies.FlatBodies`.
-        joints: Joints, as in `hplan.collision.flat_bodies.FlatBodies`.
-        points: Corners of the bodies, as in `hplan.collision.flat_bodies.FlatBodies`.
-        solids: Obstacle rows, as in `hplan.collision.clearance_field.ClearanceField`.
-        data: Corners of hulls and points of clouds, as in `hplan.collision.clearance_field.ClearanceField`.
+        bodies: Moving bodies, as in `hplan.collision.compiled_bodies.FlatBodies`.
+        pairs: Self-collision pairs, as in `hplan.collision.compiled_bodies.FlatBodies`.
+        joints: Joints, as in `hplan.collision.compiled_bodies.FlatBodies`.
+        points: Corners of the bodies, as in `hplan.collision.compiled_bodies.FlatBodies`.
+        solids: Obstacle rows, as in `hplan.collision.compiled_field.ClearanceField`.
+        data: Corners of hulls and points of clouds, as in `hplan.collision.compiled_field.ClearanceField`.
         placed: (bodies,) rows of `PLACED`, placements of the bodies.
         frames: (dof + 1, 12) frames of joints and base; (dof + 1, MOVING) with their twists for an arm in motion.
         work: (WORK + 6,) buffer. Its last six numbers are the direction from the nearest obstacle to the body, and the

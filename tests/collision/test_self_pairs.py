@@ -13,7 +13,7 @@ from hplan import PlanOptions, check, load_robot, plan, plan_cell
 from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
-from hplan.collision.touching_pairs import RIGID, required_distances, self_pairs
+from hplan.collision.self_pairs import RIGID, required_distances, self_pairs
 from hplan.errors import ConfigurationInCollisionError, HplanError, InputError
 from hplan.robot.several import joined_robots
 from hplan.scene.cell import CellScene
@@ -161,7 +161,7 @@ def test_bodies_that_always_touch_are_exempt_by_proof():
 
 def test_samples_exempt_no_pair(monkeypatch):
     """A pair in contact at every sample stays checked where bisection does not prove that it always touches."""
-    monkeypatch.setattr("hplan.collision.touching_pairs._MOST_BOXES", 1)
+    monkeypatch.setattr("hplan.collision.self_pairs._MOST_BOXES", 1)
     robot = load_robot(wrist(0.03))
     bodies, pairs = collision_bodies(robot), self_pairs(robot)
     assert ("box", "sphere") in {(bodies[i].kind, bodies[j].kind) for i, j in pairs.checked}

@@ -1,7 +1,7 @@
 """Arm shapes in coal, self-collision pairs and their motion-bound coefficients.
 
 The parts of an arm are its collision bodies (`hplan.collision.collision_bodies`), grouped by link name, and the parts
-of neighbouring links that must not fold into each other (`hplan.collision.folds`). Bodies that no joint moves, and
+of neighbouring links that must not fold into each other (`hplan.collision.self_folds`). Bodies that no joint moves, and
 shapes that are round about the axis of the only joint that carries them, are the base: they are not part of the motion
 checks, and are checked once (`hplan.collision.coal_scene.base_contacts`).
 """
@@ -23,11 +23,11 @@ from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen, r
 from hplan.base.ties import RASTER, on_raster
 from hplan.collision.coal_accuracy import extents
 from hplan.collision.coal_cloud import BareShape, distance_from
+from hplan.collision.coal_pairs import ArmPairs
 from hplan.collision.collision_bodies import CollisionBody, ball_about, body_shapes, collision_bodies
-from hplan.collision.folds import Fold, folds
-from hplan.collision.geometry_pairs import ArmPairs
-from hplan.collision.reach import carriers, is_moved, joint_axis, joints_between, reach_of
-from hplan.collision.touching_pairs import BEYOND, RIGID, SelfPairs, self_pairs
+from hplan.collision.motion_coefficients import carriers, is_moved, joint_axis, joints_between, reach_of
+from hplan.collision.self_folds import Fold, folds
+from hplan.collision.self_pairs import BEYOND, RIGID, SelfPairs, self_pairs
 from hplan.errors import RobotFileError
 from hplan.geometry.lipschitz import is_always_within
 from hplan.robot.model import Robot, made_once
@@ -219,7 +219,7 @@ class ArmParts(Record):
         return frozen(found)
 
     def reaches(self, beyond: float = 0.0) -> tuple[FloatArray, FloatArray]:
-        """Motion-bound coefficients (`hplan.collision.reach`), cached.
+        """Motion-bound coefficients (`hplan.collision.motion_coefficients`), cached.
 
         Args:
             beyond: Maximum excess of prismatic joints over their limits [m].
@@ -314,7 +314,7 @@ class BaseBody(NamedTuple):
 
 @made_once
 def base_bodies(robot: Robot) -> tuple[BaseBody, ...]:
-    """The bodies that no joint moves (`hplan.collision.reach.is_moved`)."""
+    """The bodies that no joint moves (`hplan.collision.motion_coefficients.is_moved`)."""
     data, found = robot.model.createData(), list[BaseBody]()
     pin.forwardKinematics(robot.model, data, pin.neutral(robot.model))
     for body, shape, moved in zip(collision_bodies(robot), body_shapes(robot), is_moved(robot).tolist(), strict=True):

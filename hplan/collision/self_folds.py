@@ -1,7 +1,7 @@
 """Parts of neighbouring links that must not fold into each other.
 
 Two bodies on both sides of a revolute joint overlap around its axis at every angle, so the pair is not checked
-(`hplan.collision.touching_pairs.SelfPairs.hinged`). The part of either body that is farther from the axis than
+(`hplan.collision.self_pairs.SelfPairs.hinged`). The part of either body that is farther from the axis than
 `_FOLD_REACH` times their required distance (both radii and the clearance) must keep the clearance from the whole other
 body. The factor is necessary because a link ends in a cap with its radius, and links that meet at an angle overlap up
 to 1 / sin(angle) times their radii. Thus all angles down to 19.5 degrees are allowed.
@@ -30,8 +30,8 @@ from hplan.collision.collision_bodies import (
     capsule_about,
     collision_bodies,
 )
-from hplan.collision.reach import joint_axis
-from hplan.collision.touching_pairs import BEARING, SLACK, one_joint, rounded_up, self_pairs
+from hplan.collision.motion_coefficients import joint_axis
+from hplan.collision.self_pairs import BEARING, SLACK, one_joint, rounded_up, self_pairs
 from hplan.geometry.coal_hull import convex_hull_shape
 from hplan.geometry.hull import hull_of
 from hplan.geometry.shape_outline import outline

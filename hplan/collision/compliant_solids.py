@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
-from hplan.collision.arm_pairs import supports
-from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.coal_arm import supports
 from hplan.collision.collision_bodies import GROUND, collision_bodies
-from hplan.collision.reach import carriers
+from hplan.collision.compiled_field import ClearanceField
+from hplan.collision.motion_coefficients import carriers
 from hplan.errors import OptionError
 from hplan.geometry.cloud import Cloud
 from hplan.robot.model import Robot
@@ -124,7 +124,7 @@ class LinkedSolids(Record):
 
 
 def _unsupported_joints(robot: Robot, solids: Sequence[Solid]) -> BoolArray:
-    """(solids, dof) mask of the joints whose bodies a solid does not support (`hplan.collision.arm_pairs.supports`)."""
+    """(solids, dof) mask of the joints whose bodies a solid does not support (`hplan.collision.coal_arm.supports`)."""
     found = np.ones((len(solids), robot.dof), dtype=np.bool_)
     bodies = collision_bodies(robot)
     for body, number in zip(*np.nonzero(supports(robot, solids)), strict=True):

@@ -1,7 +1,7 @@
 """Clearance of the arm, and motions verified collision-free over continuous time.
 
-The moving bodies are the arm's bodies, followed by its self-collision pairs (`hplan.collision.flat_bodies`). A motion
-is verified collision-free by bounds on the motion of the bodies (`hplan.collision.body_motions`).
+The moving bodies are the arm's bodies, followed by its self-collision pairs (`hplan.collision.compiled_bodies`). A
+motion is verified collision-free by bounds on the motion of the bodies (`hplan.collision.compiled_motions`).
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, TableArray, frozen
 from hplan.base.deadline import check_deadline, kernel_time_limit
-from hplan.collision.body_kernels import FAR, body_slopes, clearances_along
-from hplan.collision.body_motions import mark_near, path_is_clear
-from hplan.collision.flat_bodies import FlatBodies
-from hplan.collision.obstacle_rows import JOINT_RANGE, OBSTACLE, FieldArrays, rows_of
+from hplan.collision.compiled_bodies import FlatBodies
+from hplan.collision.compiled_clearance import FAR, body_slopes, clearances_along
+from hplan.collision.compiled_motions import mark_near, path_is_clear
+from hplan.collision.compiled_obstacles import JOINT_RANGE, OBSTACLE, FieldArrays, rows_of
 from hplan.errors import OptionError
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
@@ -35,10 +35,10 @@ class ClearanceField(Record):
     Attributes:
         arm: Moving bodies and self-collision pairs.
         solids: (rows,) balls, capsules, boxes, hulls and nodes of clouds, grown by the required clearance; columns are
-            those of `hplan.collision.obstacle_rows.OBSTACLE`.
+            those of `hplan.collision.compiled_obstacles.OBSTACLE`.
         data: Corners of hulls and points of clouds, one after the other; the rows hold the indices.
         owner: (rows,) index of the obstacle of each row; -1 for a node over several obstacles, `RANGE` for a joint
-            range (`hplan.collision.obstacle_rows`).
+            range (`hplan.collision.compiled_obstacles`).
     """
 
     arm: FlatBodies
@@ -56,7 +56,7 @@ class ClearanceField(Record):
 
     @property
     def reaches(self) -> FloatArray:
-        """(moving bodies, dof) motion-bound coefficients (`hplan.collision.reach`)."""
+        """(moving bodies, dof) motion-bound coefficients (`hplan.collision.motion_coefficients`)."""
         return self.arm.reaches
 
     @property

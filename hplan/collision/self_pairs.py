@@ -17,7 +17,7 @@ Within **one arm** all pairs are checked, except
   touch by construction: convex shapes of bearings overlap.
 
 Of two bodies on both sides of one revolute joint that always touch, or are assumed to, the parts beyond the joint are
-checked nevertheless (`hplan.collision.folds`).
+checked nevertheless (`hplan.collision.self_folds`).
 
 Samples exempt no pair. They only find the checked pairs that are too close to each other for a clearance requirement
 (`required_distances`); such a pair must not touch, and the certificate lists it with its own bound.
@@ -36,7 +36,7 @@ import pinocchio as pin
 
 from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
-from hplan.collision.reach import carriers, joint_axis, joints_between, reach_of
+from hplan.collision.motion_coefficients import carriers, joint_axis, joints_between, reach_of
 from hplan.geometry.lipschitz import is_always_within, may_reach
 from hplan.geometry.shape_outline import coal_distance
 from hplan.robot.model import Robot, made_once
@@ -181,7 +181,7 @@ def _always_touch(robot: Robot, pair: tuple[int, int]) -> bool:
     The joint values are within the limits; True is certain.
 
     Bisection: the distance at the centre of a box of joint values grows by no more than the half-widths times the
-    motion-bound coefficients (`hplan.collision.reach`).
+    motion-bound coefficients (`hplan.collision.motion_coefficients`).
     """
     bodies, shapes = collision_bodies(robot), [body_shapes(robot)[body] for body in pair]
     between = list(joints_between(robot, *(bodies[body] for body in pair)))

@@ -10,10 +10,10 @@ import pytest
 from arm_variants import VARIANTS, coal_distances, from_obstacles, link_axes, load_variant, random_obstacles
 from fitted_arms import fitted
 
-from hplan.collision import obstacle_rows
-from hplan.collision.body_kernels import FAR, body_clearances
-from hplan.collision.clearance_field import ClearanceField
+from hplan.collision import compiled_obstacles
 from hplan.collision.coal_scene import CoalScene
+from hplan.collision.compiled_clearance import FAR, body_clearances
+from hplan.collision.compiled_field import ClearanceField
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.hull import hull_of
 from hplan.planar.family_reader import family_of
@@ -314,11 +314,11 @@ def test_groups_of_solids_change_no_distance(robot, monkeypatch):
         solids = [*solids[:count], random_hull(rng, 7), *solids[count:]]
         field = ClearanceField.build(robot, solids)
         with monkeypatch.context() as patched:
-            patched.setattr(obstacle_rows, "_MANY", math.inf)
+            patched.setattr(compiled_obstacles, "_MANY", math.inf)
             alone = ClearanceField.build(robot, solids)
         assert (len(solids) < 32) == (len(field.solids) == len(alone.solids))
         assert sorted(field.owner[field.owner >= 0].tolist()) == alone.owner.tolist()
-        for s in np.flatnonzero(field.solids["kind"] == obstacle_rows.NODE).tolist():
+        for s in np.flatnonzero(field.solids["kind"] == compiled_obstacles.NODE).tolist():
             node, last = field.solids[s], int(field.solids["next"][s])
             below = field.solids[s + 1 : last][field.owner[s + 1 : last] >= 0]
             assert len(below)

@@ -18,6 +18,7 @@ COMMANDS = {
     "time": "time a motion through waypoints, for any robot",
     "certify": "prove that a trajectory keeps clearance and limits",
     "execute": "run a trajectory on a simulated arm",
+    "ros": "run a ROS 2 node: judge motions of any planner, or plan",
     "init": "write a folder to start from: a scene with your arm, a script",
     "orchard": "generate a scene with a row of fruit trees",
     "inspect": "list the faults of a robot file, its joints and touching links",

@@ -106,7 +106,8 @@ class SceneUpdates:
     @property
     def padding_m(self) -> float:
         """Maximum padding of any link [m]; with `link_padding` left out, a clearance that covers it."""
-        values = [check_mapping(item, "link_padding").get("padding", 0.0) for item in self._parts["link_padding"]]
+        paddings = (fields_of(item) for item in self._parts.get("link_padding", ()))
+        values = [item.get("padding", 0.0) for item in paddings]
         return max([0.0, *map(float, values)])
 
     def apply(self, message: Any) -> None:
@@ -178,8 +179,11 @@ class SceneUpdates:
     def _attach(self, item: Mapping[str, Any], where: str) -> None:
         held = check_mapping(or_else(item.get("object"), {}), f"{where}.object")
         if operation_of(held) == "remove":
-            for name in [held.get("id")] if held.get("id") else list(self._attached):
-                self._attached.pop(str(name), None)
+            # Without a name, all objects of the link.
+            link = item.get("link_name")
+            on_link = [name for name, each in self._attached.items() if not link or each.get("link_name") == link]
+            for name in [str(held["id"])] if held.get("id") else on_link:
+                self._attached.pop(name, None)
             return
         name = object_name(held, f"{where}.object")
         self._attached[name] = item
@@ -193,9 +197,11 @@ class SceneUpdates:
             self._read.clear()
             return
         name = object_name(item, where)
-        if operation not in ("add", "remove") and name not in self._objects:
-            reason = f"expected a known object to {operation or 'change'} ({', '.join(self._objects) or 'none'})"
-            raise SceneError(f"{reason}, got {name!r}", where=f"{where}.id", value=name)
+        if operation == "append" and name not in self._objects:
+            operation = "add"
+        if operation == "move" and name not in self._objects:
+            reason = f"expected a known object to move ({', '.join(self._objects) or 'none'}), got {name!r}"
+            raise SceneError(reason, where=f"{where}.id", value=name)
         self._read.pop(name, None)
         if operation == "remove":
             self._objects.pop(name, None)

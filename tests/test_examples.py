@@ -8,16 +8,12 @@ import importlib.metadata
 import json
 import runpy
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 from small_tree import TREE
 
 import hplan
-from hplan.apps.ros import cloud_points
-from hplan.apps.ros.mcap_file import _Encoder
 
 MEASURED = Path(__file__).resolve().parents[2] / "shared" / "data" / "measured_trees"
 EXAMPLES = Path(__file__).resolve().parents[1] / "scripts" / "examples"
@@ -150,46 +146,6 @@ def test_design_an_arm(tmp_path: Path) -> None:
     result = run("design_an_arm", str(tmp_path / "new.urdf"))
     assert result.certificate.verified
     assert hplan.load_robot(tmp_path / "new.urdf").dof == 4
-
-
-def test_ros2_node() -> None:
-    """Message conversion without ROS: padded cloud points, joints by name, encoded goals."""
-    typesys = pytest.importorskip("rosbags.typesys")
-    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
-    node = runpy.run_path(str(EXAMPLES / "ros2_node.py"))
-    points = np.random.default_rng(0).normal(size=(2, 3, 3)).astype(np.float32)
-    points[1, 2] = np.nan
-    data = np.zeros((2, 3 * 20 + 4), dtype=np.uint8)  # 20 bytes per point, x at 4; 4 bytes after each row
-    for row, column in np.ndindex(2, 3):
-        data[row, 20 * column + 4 : 20 * column + 16] = points[row, column].view(np.uint8)
-    field, cloud = (store.types[f"sensor_msgs/msg/{name}"] for name in ("PointField", "PointCloud2"))
-    header = store.types["std_msgs/msg/Header"](store.types["builtin_interfaces/msg/Time"](0, 0), "base_link")
-    fields = [field(name=name, offset=offset, datatype=7, count=1) for name, offset in (("z", 12), ("x", 4), ("y", 8))]
-    message = cloud(header, 2, 3, fields, False, 20, 64, data.ravel(), False)
-    np.testing.assert_array_equal(cloud_points(message), points.reshape(-1, 3))
-    robot = hplan.load_robot()
-    arm, state = node["ArmState"](robot), lambda **at: SimpleNamespace(name=list(at), position=list(at.values()))
-    with pytest.raises(hplan.errors.InputError, match="'base_yaw'"):
-        arm.configuration(0.0)
-    arm.see(SimpleNamespace(name=["gripper", *reversed(robot.joint_names)], position=[9.0, 4.0, 3.0, 2.0, 1.0]), 0.0)
-    arm.see(state(finger=0.01), 0.1)
-    arm.see(state(wrist=5.0, shoulder=float("nan")), 0.3)
-    assert arm.configuration(0.4).tolist() == [1.0, 2.0, 3.0, 5.0]
-    with pytest.raises(hplan.errors.InputError, match=r"'base_yaw' is 0.60 s old"):
-        arm.configuration(0.6)
-    assert node["outcome_of"](SimpleNamespace(error_code=0, error_string="")) == (True, "successful")
-    assert node["outcome_of"](SimpleNamespace(error_code=-5, error_string="j1")) == (
-        False,
-        "goal tolerance violated: j1",
-    )
-    motion = hplan.plan(robot, hplan.load_scene(), hplan.PlanOptions(effort="quick"))
-    trajectory = node["goal_of"](motion)["trajectory"]
-    kind = "trajectory_msgs/msg/JointTrajectory"
-    encoded = store.serialize_cdr(_Encoder(store).message(kind, trajectory), kind)
-    decoded = store.deserialize_cdr(encoded, kind)
-    assert decoded.joint_names == list(robot.joint_names)
-    np.testing.assert_array_equal([point.positions for point in decoded.points], motion.trajectory.position)
-    assert all(len(point.effort) == 0 for point in decoded.points)
 
 
 def test_every_example_is_run() -> None:

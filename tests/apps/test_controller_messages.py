@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import runpy
-import sys
-import types
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -29,7 +24,6 @@ from hplan.scene.obstacles import Sphere
 from hplan.trajectory.trajectory import Trajectory, join_trajectories, read_csv, write_csv
 
 A, B = (0.0, 0.9, 0.6, 0.3), (1.2, 0.9, 0.6, 0.3)
-NODE = Path(__file__).resolve().parents[2] / "scripts" / "examples" / "ros2_node.py"
 
 
 @pytest.fixture(scope="module")
@@ -230,129 +224,3 @@ def test_files_fit_the_documented_command(swing: PlanResult, tmp_path: Path) -> 
     told = str(write_joint_trajectory.__doc__)
     assert "--stdin" in told
     assert "$(cat" not in told
-
-
-class Future:
-    """An answer that is given later."""
-
-    def __init__(self) -> None:
-        self.calls: list[Callable[[Any], None]] = []
-        self.value: Any = None
-
-    def add_done_callback(self, call: Callable[[Any], None]) -> None:
-        self.calls.append(call)
-
-    def result(self) -> Any:
-        return self.value
-
-    def give(self, value: Any) -> None:
-        self.value = value
-        for call in self.calls:
-            call(self)
-
-
-class Ros:
-    """Replacements for ROS functions; `spin` runs when the node spins."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, spin: Callable[[Ros], None]) -> None:
-        self.calls: dict[str, Any] = {}
-        self.sent: list[tuple[dict[str, Any], Future]] = []
-        self.log: list[str] = []
-        self.is_down = False
-        ros = self
-
-        class Node:
-            def __init__(self, _: str) -> None:
-                ros.calls["node"] = self
-
-            def declare_parameter(self, _: str, value: Any) -> Any:
-                return SimpleNamespace(value=value)
-
-            def create_subscription(self, _: Any, topic: str, call: Any, __: Any) -> None:
-                ros.calls[topic] = call
-
-            def create_service(self, _: Any, name: str, call: Any) -> None:
-                ros.calls[name] = call
-
-            def get_logger(self) -> Any:
-                write = ros.log.append
-                return SimpleNamespace(debug=write, info=write, warning=write, error=write)
-
-        class Client:
-            def __init__(self, *_: Any) -> None:
-                pass
-
-            def send_goal_async(self, goal: Any) -> Future:
-                ros.sent.append((dict(goal), Future()))
-                return ros.sent[-1][1]
-
-        self.interrupt = type("ExternalShutdownException", (Exception,), {})
-        modules: dict[str, dict[str, Any]] = {
-            "rclpy": {"init": lambda args=None: None, "spin": lambda _: spin(self), "try_shutdown": self.shut_down},
-            "rclpy.executors": {"ExternalShutdownException": self.interrupt},
-            "rclpy.action": {"ActionClient": Client},
-            "rclpy.node": {"Node": Node},
-            "rclpy.qos": {"qos_profile_sensor_data": None},
-            "control_msgs": {},
-            "control_msgs.action": {"FollowJointTrajectory": SimpleNamespace(Goal=dict)},
-            "rosidl_runtime_py": {"set_message_fields": lambda goal, content: goal.update(content)},
-            "sensor_msgs": {},
-            "sensor_msgs.msg": {"JointState": None, "PointCloud2": None},
-            "std_srvs": {},
-            "std_srvs.srv": {"Trigger": None},
-        }
-        for name, content in modules.items():
-            module = types.ModuleType(name)
-            module.__dict__.update(content)
-            monkeypatch.setitem(sys.modules, name, module)
-        monkeypatch.setattr(sys, "argv", ["ros2_node"])
-        runpy.run_path(str(NODE))["main"]()
-
-    def shut_down(self) -> None:
-        self.is_down = True
-
-    def plan(self) -> Any:
-        return self.calls["plan"](None, SimpleNamespace())
-
-    def at(self, names: list[str], positions: list[float]) -> None:
-        self.calls["joint_states"](SimpleNamespace(name=names, position=positions))
-
-
-def test_gripper_that_publishes_does_not_erase_the_arm(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    ended = Future()
-
-    def spin(ros: Ros) -> None:
-        answer = ros.plan()
-        assert not answer.success
-        assert "no joint state has had joint 'base_yaw' yet" in answer.message
-        for yaw in (0.6, 1.0):
-            ros.at(list(robot.joint_names), [yaw, *[np.pi / 2] * 3])
-            ros.at(["finger"], [0.01])
-            answer = ros.plan()
-            assert answer.success, answer.message
-            goal, future = ros.sent[-1]
-            assert goal["trajectory"]["points"][0]["positions"] == [yaw, *[np.pi / 2] * 3]
-            assert "has not finished" in ros.plan().message
-            if yaw == 0.6:
-                future.give(SimpleNamespace(accepted=False))
-                assert "rejected" in ros.log[-1]
-            else:
-                future.give(SimpleNamespace(accepted=True, get_result_async=lambda: ended))
-                assert "has not finished" in ros.plan().message
-                ended.give(SimpleNamespace(result=SimpleNamespace(error_code=-4, error_string="shoulder")))
-                assert "path tolerance violated: shoulder" in ros.log[-1]
-        raise KeyboardInterrupt
-
-    assert Ros(monkeypatch, spin).is_down
-
-
-def test_interrupt_ends_the_node_and_an_error_does_not_pass_for_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(ros: Ros) -> None:
-        raise ros.interrupt
-
-    def broken(_: Ros) -> None:
-        raise RuntimeError("broken")
-
-    assert Ros(monkeypatch, interrupted).is_down
-    with pytest.raises(RuntimeError, match="broken"):
-        Ros(monkeypatch, broken)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -12,7 +12,8 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.apps.ros.fields import fields_of, read_message
-from hplan.apps.ros.moveit_scene import planning_frame, pose
+from hplan.apps.ros.frame_tree import FrameTree, plain_frame, stamp_seconds
+from hplan.apps.ros.moveit_scene import planning_frame
 from hplan.base.arguments import file_path, number, text
 from hplan.base.arrays import FloatArray
 from hplan.base.files import note_input
@@ -115,9 +116,13 @@ def read_bag_cloud(
         points = points[np.isfinite(points).all(axis=1)]
         if not len(points):
             raise SceneError("the cloud has no finite points", path=path)
-        own = _plain(cloud.header.frame_id)
-        placed = position is not None or rpy_deg is not None or own == _plain(frame)
-        place = given if placed else _Transforms(bag, path, _seconds(cloud.header.stamp)).between(_plain(frame), own)
+        own, place = plain_frame(cloud.header.frame_id), given
+        if position is None and rpy_deg is None and own != plain_frame(frame):
+            try:
+                place = _pose_in_bag(bag, frame, own, stamp_seconds(cloud.header.stamp))
+            except SceneError as error:
+                reason = f"{error.reason}; give position and rpy_deg" if error.value == own else error.reason
+                raise SceneError(reason, path=path, value=error.value) from error
     return PointCloud.from_points(name, points @ place.rotation.T + place.translation, radius)
 
 
@@ -162,55 +167,14 @@ def _find_cloud(bag: Any, path: Path, topic: str | None, time_s: float) -> Any:
     raise SceneError(f"no cloud of {chosen.topic} at or after {time_s:g} s; the bag is {long_s:.6g} s long", path=path)
 
 
-class _Transforms:
-    """Transforms of a bag, each the nearest in time."""
+def _pose_in_bag(bag: Any, base: str, frame: str, at_s: float) -> pin.SE3:
+    """Pose of a frame in the base frame, from the bag's transforms nearest in time.
 
-    def __init__(self, bag: Any, path: Path, at_s: float) -> None:
-        self._path = path
-        self._parents: dict[str, tuple[float, str, Any]] = {}
-        for connection, _, data in bag.messages([each for each in bag.connections if each.msgtype == _TRANSFORMS]):
-            is_static = connection.topic.endswith("tf_static")
-            for item in bag.deserialize(data, connection.msgtype).transforms:
-                off_s = 0.0 if is_static else abs(_seconds(item.header.stamp) - at_s)
-                child = _plain(item.child_frame_id)
-                if off_s <= self._parents.get(child, (math.inf,))[0]:
-                    self._parents[child] = off_s, _plain(item.header.frame_id), item.transform
-
-    def between(self, base: str, frame: str) -> pin.SE3:
-        """Pose of a frame in the base frame.
-
-        Raises:
-            SceneError: No transforms connect them, or one is malformed.
-        """
-        ways = self._way_up(base), self._way_up(frame)
-        common = next((root for root in ways[1] if root in ways[0]), None)
-        if common is None:
-            known = ", ".join(sorted({*self._parents, *(parent for _, parent, _ in self._parents.values())})) or "none"
-            reason = f"no transforms lead from {frame!r} to {base!r} (frames: {known}); give position and rpy_deg"
-            raise SceneError(reason, path=self._path, value=frame)
-        place: pin.SE3 = ways[0][common].inverse() * ways[1][common]
-        return place
-
-    def _way_up(self, frame: str) -> Mapping[str, pin.SE3]:
-        """Poses of a frame in itself and in all frames above it."""
-        place, found = pin.SE3.Identity(), {frame: pin.SE3.Identity()}
-        while frame in self._parents:
-            _, parent, transform = self._parents[frame]
-            shift, turn = transform.translation, transform.rotation
-            try:
-                place = pose((shift.x, shift.y, shift.z), (turn.x, turn.y, turn.z, turn.w)) * place
-            except ValueError as error:
-                raise SceneError(f"transform of {frame!r}: {error}", path=self._path) from error
-            if parent in found:
-                raise SceneError(f"frame {frame!r} is its own parent", path=self._path)
-            frame, found[parent] = parent, place
-        return found
-
-
-def _plain(frame: str) -> str:
-    """Frame name without the leading slash of ROS 1."""
-    return frame.removeprefix("/")
-
-
-def _seconds(stamp: Any) -> float:
-    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
+    Raises:
+        SceneError: No transforms connect them, or one is malformed.
+    """
+    tree = FrameTree(keep_s=math.inf)
+    for connection, _, data in bag.messages([each for each in bag.connections if each.msgtype == _TRANSFORMS]):
+        is_static = connection.topic.endswith("tf_static")
+        tree.see(bag.deserialize(data, connection.msgtype).transforms, is_static=is_static)
+    return tree.pose(base, frame, at_s)

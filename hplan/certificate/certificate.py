@@ -59,6 +59,7 @@ from hplan.certificate.limit_use import LimitUse, limit_use
 from hplan.certificate.motion_bound import fastest, largest_deviations
 from hplan.certificate.moving_obstacles import checker_in_time, clear_until, end_violations, moving_base_contacts
 from hplan.certificate.pair_rules import PairRule, joined_rules, pair_rules
+from hplan.certificate.limb_loads import gentle_speeds, goal_displacement, load_violations
 from hplan.certificate.pushes import Push
 from hplan.certificate.start_state import start_violations
 from hplan.certificate.task_check import task_violations
@@ -138,6 +139,10 @@ class Certificate:
             motion, on the clock of the tracks [s]; inf for no limit. None if no obstacle moves, or if the motion is not
             verified.
         uncovered_links: Names of the visual links that no collision shape covers: nothing is proved about them.
+        goal_displacement_m: Upper bound of the displacement of a grasped fruit by the limbs that are pushed at that
+            time [m]; None in scenes without `wood`, and without a fruit to grasp.
+        gentle_speeds: (n, 2) times [s] and fractions of the motion's speed with which impacts on limbs keep the limits
+            of force and stress; None if they keep them, or if no speed helps.
     """
 
     verified: bool
@@ -155,6 +160,8 @@ class Certificate:
     subject: Subject | None = field(default=None, compare=False, repr=False)
     pair_rules: tuple[PairRule, ...] = ()
     uncovered_links: tuple[str, ...] = ()
+    goal_displacement_m: float | None = None
+    gentle_speeds: FloatArray | None = field(default=None, compare=False, repr=False)
 
     @property
     def contact_s(self) -> tuple[float, float] | None:
@@ -468,6 +475,19 @@ def certify_among(
     last = among[-1][1]
     missing = [proof.clearance_m for proof in proofs if not proof.is_certified]
     least = min(missing or (proof.clearance_m for proof in proofs))
+    motion = ProvedMotion(robot, trajectory, tuple(proved), clearance)
+    displacement, speeds_there = None, None
+    if not violations and any(checker.has_limbs for _, checker in among):
+        pushes = motion.pushes_by_segment
+        violations += load_violations(robot, pushes)
+        speeds_there = gentle_speeds(pushes, trajectory.duration)
+        displacement = _goal_displacement(motion, pushes)
+        allowed = min((limit.capture_range for limit in last.fruit_limits), default=math.inf)
+        if displacement is not None and displacement > allowed:
+            violations.append(
+                f"pushed limbs displace the fruit by up to {1e3 * displacement:.3g} mm at the grasp; allowed: "
+                f"{1e3 * allowed:g} mm"
+            )
     in_place = clearance_in_place(last, (float(clock[0]), float(clock[-1])), clearance, least)
     return Certificate(
         verified=not violations,
@@ -476,14 +496,30 @@ def certify_among(
         limit_use=use,
         checks=sum(proof.checks for proof in proofs),
         violations=tuple(violations),
-        subject=Subject(((ProvedMotion(robot, trajectory, tuple(proved), clearance), False),)),
+        subject=Subject(((motion, False),)),
         nearest_s=_nearest_s([proof.nearest for proof in proofs], seen_s),
         pair_rules=joined_rules([*rules, in_place.rules]),
         clear_until_s=None
         if last.moving is None or violations
         else clear_until(bezier[-1, -1], last, at_rest, clearance, clock[-1]),
         uncovered_links=robot.uncovered_links,
+        goal_displacement_m=displacement,
+        gentle_speeds=speeds_there,
     )
+
+
+def _goal_displacement(motion: ProvedMotion, pushes: Sequence[Push]) -> float | None:
+    """Upper bound of the displacement of grasped fruit by pushed limbs [m]; None without a fruit to grasp.
+
+    A fruit is grasped at the slowest sample while it may be touched.
+    """
+    found, trajectory = list[float](), motion.trajectory
+    for part, checker, *_ in motion.stretches:
+        rows = slice(part.start, min(part.stop + 1, trajectory.samples))
+        at = rows.start + int(np.abs(trajectory.velocity[rows]).max(axis=1).argmin())
+        for limit in checker.fruit_limits:
+            found.append(goal_displacement(pushes, limit, float(trajectory.time[at])))
+    return max(found, default=None)
 
 
 def rest_violations(
@@ -557,6 +593,7 @@ def all_of(parts: Sequence[Certificate]) -> Certificate:
         clear_until_s=parts[-1].clear_until_s if all(part.verified for part in parts) else None,
         pair_rules=joined_rules(part.pair_rules for part in parts),
         uncovered_links=tuple(dict.fromkeys(name for part in parts for name in part.uncovered_links)),
+        goal_displacement_m=max((p.goal_displacement_m for p in parts if p.goal_displacement_m is not None), default=None),
     )
 
 

@@ -146,7 +146,12 @@ class ProvedMotion(Record):
 
     @cached_property
     def pushes(self) -> tuple[Push, ...]:
-        """Contacts of the motion with compliant obstacles."""
+        """Contacts of the motion with compliant obstacles, merged over time."""
+        return merge_contacts(self.pushes_by_segment)
+
+    @cached_property
+    def pushes_by_segment(self) -> tuple[Push, ...]:
+        """Contacts of the motion with compliant obstacles within each segment."""
         bezier, _ = self.trajectory.segments
         found = list[Push]()
         for stretch in self.stretches:
@@ -155,7 +160,7 @@ class ProvedMotion(Record):
                 bezier[part], time, stretch.checker, stretch.deviations, self.clearance, stretch.clock,
                 proved=stretch.proof.is_certified,
             )  # fmt: skip
-        return merge_contacts(found)
+        return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,6 +27,7 @@ from hplan.base.arrays import FloatArray
 from hplan.robot.model import Robot, made_once
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import FromData
+from hplan.scene.obstacles import Capsule
 from hplan.scene.tracks import Sway, Track
 from hplan.trajectory.trajectory import Trajectory, as_table
 
@@ -87,6 +88,9 @@ def scene_digest(scene: Scene) -> str:
             found.add_text(fruit.name, "hangs_from", *fruit.hangs_from)
     if scene.yield_links is not None:
         found.add_text("yield_links", *scene.yield_links)
+    if scene.wood is not None:
+        found.add_text("wood", scene.wood.model_dump_json())
+        found.add_text(*(f"{o.name} {o.parent}" for o in scene.obstacles if isinstance(o, Capsule) and o.parent))
     if scene.start.contact_depth is not None:
         found.add_text("contact_depth", repr(scene.start.contact_depth))
     for key, named in (("start", scene.start.joints), ("goal", scene.goal.joints)):

@@ -84,7 +84,7 @@ def moving_base_contacts(robot: Robot, moving: MovingSolids, begin_s: float, end
     shapes = [(base.body.name, base.shape.geometry, base.place) for base in base_bodies(robot)]
     for number in moving.numbers:
         solid, movement = moving.solids[number], moving.movements[number]
-        for name, body, place in shapes:
+        for name, body, place in shapes if solid.meets != "pushing" else ():
             at = None if movement is None else _too_deep(body, place, solid, movement, (begin_s, end_s))
             if at is not None:
                 yield f"obstacle {solid.name!r} comes into the robot's {name!r}, which does not move, at {at:.6g} s"

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from hplan.base.arrays import FloatArray
 from hplan.certificate.clearance_proof import Advancement, place_after, point_at
 from hplan.collision.coal_scene import CoalScene
+from hplan.scene.obstacle_kind import ContactLimit
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,10 @@ class Push:
         depth_m: Upper bound of the deflection, tracking errors included [m].
         begin_s: No contact before this time [s].
         end_s: No contact after this time, until the next listed contact of the two [s].
+        force_n: Upper bound of the force on a limb, or on the stalk of a fruit, impact included [N]; None for obstacles
+            without a limb.
+        stress_mpa: Upper bound of the bending stress of the limb by this contact, impact included [MPa]; None as above.
+        load: Details for `hplan.certificate.limb_loads`; None as above, and for merged contacts.
     """
 
     link: str
@@ -35,6 +41,45 @@ class Push:
     depth_m: float
     begin_s: float
     end_s: float
+    force_n: float | None = None
+    stress_mpa: float | None = None
+    load: Load | None = field(default=None, repr=False, compare=False)
+
+
+class Load(NamedTuple):
+    """A contact with a part of a limb or with a fruit, within one segment of a motion.
+
+    Attributes:
+        limit: What the deepest permitted contact does.
+        joint: Joint that carries the link.
+        share: Upper bound of the depth as a fraction of the permitted one.
+        speed: Upper bound of the speed of the link [m/s].
+    """
+
+    limit: ContactLimit
+    joint: int
+    share: float
+    speed: float
+
+    @property
+    def force(self) -> float:
+        """Upper bound of the force [N]."""
+        return self.share * self.limit.force + self.impact
+
+    @property
+    def impact(self) -> float:
+        """The part of the force that the speed adds [N]."""
+        return self.limit.impact * self.speed + self.limit.swing * self.speed**2
+
+    @property
+    def stress(self) -> float:
+        """Upper bound of the static bending stress [Pa]."""
+        return self.share * self.limit.stress
+
+    @property
+    def impact_stress(self) -> float:
+        """Bending stress that the speed adds [Pa]."""
+        return self.limit.impact_stress * self.speed
 
 
 def pushes_along(
@@ -84,12 +129,33 @@ def pushes_along(
             if depth > 0.0:
                 mover_name, other = checker.mover_names[checker.pairs[pair][0]], checker.pairs[pair][1]
                 span = float(time[row - 1]), float(time[row])
-                yield Push(mover_name, checker.obstacle_names[other], min(depth, float(most[pair])), *span)
+                depth = min(depth, float(most[pair]))
+                found = Push(mover_name, checker.obstacle_names[other], depth, *span)
+                limit = checker.contact_limits[other]
+                if limit is not None and limit.depth > 0.0:
+                    speed = (travelled + nearer) / max(span[1] - span[0], _TINY_S)
+                    load = Load(limit, checker.joint_of(pair), depth / float(allowed[pair]), speed)
+                    stress = 1e-6 * (load.stress + load.impact_stress)
+                    found = replace(found, force_n=load.force, stress_mpa=stress, load=load)
+                yield found
             ahead = place_after(travel[mover], float(row), max(distance - nearer, 0.0))
             following = max(row + 1, math.floor(min(ahead, rows + 1.0)))
             # A pair that skips samples cannot touch before its next query, so its last distance counts as infinite.
             before[pair] = distance if following == row + 1 else math.inf
             due.setdefault(following, []).append(pair)
+
+
+#: Fields of which a merged contact has the largest value.
+_LARGEST = ("depth_m", "force_n", "stress_mpa")
+
+#: Shortest time in which a speed is measured [s].
+_TINY_S = 1e-9
+
+
+def _larger(one: float | None, other: float | None) -> float | None:
+    """The larger of two values that may be missing."""
+    known = [value for value in (one, other) if value is not None]
+    return max(known, default=None)
 
 
 def merge_contacts(found: Iterable[Push]) -> tuple[Push, ...]:
@@ -102,7 +168,8 @@ def merge_contacts(found: Iterable[Push]) -> tuple[Push, ...]:
         last = whole[-1] if whole else push
         same = whole and (last.link, last.obstacle) == (push.link, push.obstacle)
         if same and push.begin_s <= last.end_s:
-            whole[-1] = replace(last, depth_m=max(last.depth_m, push.depth_m), end_s=max(last.end_s, push.end_s))
+            deepest = {key: _larger(getattr(last, key), getattr(push, key)) for key in _LARGEST}
+            whole[-1] = replace(last, end_s=max(last.end_s, push.end_s), **deepest)
         else:
-            whole.append(push)
+            whole.append(replace(push, load=None))
     return tuple(sorted(whole, key=lambda push: push.begin_s))

@@ -33,6 +33,7 @@ from hplan.collision.compliant_solids import maximum_deflection, pushing_links
 from hplan.collision.self_pairs import required_distances
 from hplan.errors import MovingObstacleError
 from hplan.robot.model import Robot
+from hplan.scene.obstacle_kind import ContactLimit
 from hplan.scene.obstacles import Solid
 from hplan.scene.tracks import Movement
 
@@ -176,6 +177,7 @@ class CoalScene:
         rows, columns = (places.tolist() for places in np.nonzero(supporting))
         held = ((self.mover_names[mover_of[row]], obstacles[k].name) for row, k in zip(rows, columns, strict=True))
         self.supported = tuple(dict.fromkeys(held))
+        self._beyond[self._unmet(mover_of, obstacles, yield_links)] = -np.inf
         check_deadline()
         self.own_first = len(obstacles)
         own_names, own = parts.own_names
@@ -275,6 +277,18 @@ class CoalScene:
         other._taken_off[: self._beyond.size] = other._beyond.ravel()
         return other
 
+    def _unmet(
+        self, mover_of: Sequence[int], obstacles: Sequence[Solid], yield_links: Sequence[str] | None
+    ) -> BoolArray:
+        """(shapes, obstacles) mask of pairs that a limb's other solids account for (`Convex.meets`)."""
+        meets = np.array([obstacle.meets for obstacle in obstacles], dtype=object)
+        if (meets == "all").all():
+            return np.zeros((len(self._mover_shapes), len(obstacles)), dtype=np.bool_)
+        names = pushing_links(self.robot, yield_links)
+        pushes = np.array([self.mover_names[mover] in names for mover in mover_of])
+        found: BoolArray = np.where(pushes[:, None], meets == "others", meets == "pushing")
+        return found
+
     def _depths(self, yielded: FloatArray | None, yield_links: Sequence[str] | None) -> FloatArray | None:
         """Permitted depth of each pair, (pairs,) [m].
 
@@ -332,6 +346,29 @@ class CoalScene:
     def compliant_pairs(self) -> IntArray:
         """Indices of the `pairs` with a compliant obstacle."""
         return np.flatnonzero(self._yielded > 0.0) if self._yielded is not None else np.zeros(0, dtype=np.int64)
+
+    @cached_property
+    def contact_limits(self) -> Sequence[ContactLimit | None]:
+        """For each obstacle what the deepest permitted contact does, if it is a part of a limb or a hanging fruit."""
+        return [obstacle.contact_limit for obstacle in self._built["obstacles"]]
+
+    @property
+    def has_limbs(self) -> bool:
+        """True if an obstacle is a part of a limb or a hanging fruit that a link may push."""
+        return any(limit is not None and limit.depth > 0.0 for limit in self.contact_limits)
+
+    @property
+    def fruit_limits(self) -> Sequence[ContactLimit]:
+        """Contact limits of the hanging fruit that the last link may touch."""
+        touched = {name for name, _ in self._touched}
+        if not touched:
+            return []
+        limits = zip(self.obstacle_names, self.contact_limits, strict=False)
+        return [limit for name, limit in limits if limit is not None and limit.swing > 0.0 and name in touched]
+
+    def joint_of(self, pair: int) -> int:
+        """Pinocchio's number of the joint that carries the moving body of a pair with an obstacle."""
+        return int(self._mover_shapes[pair // self.own_first].parentJoint)
 
     def required_distance(self, clearance: float) -> float | FloatArray:
         """Required distances of the `pairs` [m].
@@ -527,7 +564,7 @@ def base_contacts(robot: Robot, obstacles: Sequence[Solid], *, margin: float = 0
     if not obstacles:
         return ()
     found = []
-    distances = [(obstacle, distance_from(obstacle, margin)) for obstacle in obstacles]
+    distances = [(obstacle, distance_from(obstacle, margin)) for obstacle in obstacles if obstacle.meets != "pushing"]
     for base in base_bodies(robot):
         for obstacle, distance_of in distances:
             distance = distance_of(base.shape.geometry, base.place)

@@ -33,7 +33,8 @@ HANGING_M = 0.02
 class LinkedSolids(Record):
     """Solids with the links that must keep clear of each.
 
-    A compliant solid occurs twice: at full size for links that may not push it, and smaller for links that may.
+    A compliant solid occurs twice: at full size for links that may not push it, and smaller for links that may. Limbs
+    have solids of their own for both (`hplan.scene.wood`).
 
     Attributes:
         solids: The rigid solids, then the compliant ones twice.
@@ -75,12 +76,16 @@ class LinkedSolids(Record):
         if depth is None:
             return cls(tuple(solids), frozen(grown.copy()), None if clear.all() else frozen(clear))
         pushing = _pushing_joints(robot, pushing_links(robot, yield_links))
-        firm, soft = np.flatnonzero(depth == 0.0), np.flatnonzero(depth)
+        meets = np.array([solid.meets for solid in solids])
+        firm = np.flatnonzero((depth == 0.0) & (meets == "all"))
+        whole = np.flatnonzero(((depth > 0.0) & (meets == "all")) | (meets == "others"))
+        entered = np.flatnonzero(((depth > 0.0) & (meets == "all")) | (meets == "pushing"))
         smaller = np.broadcast_to(np.asarray(beyond, dtype=np.float64), (len(solids),)) - depth
-        order = np.concatenate([firm, soft, soft])
+        order = np.concatenate([firm, whole, entered])
         of_each = (np.ones_like(pushing), ~pushing, pushing)
-        joints = np.repeat(of_each, [len(firm), len(soft), len(soft)], axis=0) & clear[order]
-        growths = np.concatenate([grown[firm], grown[soft], smaller[soft]])
+        joints = np.repeat(of_each, [len(firm), len(whole), len(entered)], axis=0) & clear[order]
+        entered_growth = np.where(depth > 0.0, smaller, grown)[entered]
+        growths = np.concatenate([grown[firm], grown[whole], entered_growth])
         return cls(tuple(solids[number] for number in order.tolist()), frozen(growths), frozen(joints))
 
     def with_nearer(
@@ -178,7 +183,10 @@ def maximum_deflection(
     Raises:
         OptionError: A name in `yield_links` is not a moving link.
     """
-    depth = np.array([solid.yields or HANGING_M * (solid.name in hanging) for solid in solids], dtype=np.float64)
+    depth = np.array(
+        [solid.yields or HANGING_M * (solid.name in hanging and solid.contact_limit is None) for solid in solids],
+        dtype=np.float64,
+    )
     if not depth.any():
         return None
     names = pushing_links(robot, yield_links)

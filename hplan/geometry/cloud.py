@@ -46,6 +46,9 @@ class Cloud(Record):
     #: Each core point is a separate ball; `excess` is the maximum distance from the object [m].
     is_point_set: ClassVar[Literal[True]] = True
     excess: ClassVar[float] = 0.0
+    #: It counts for all links, and is no part of a limb (`hplan.scene.obstacle_kind.Convex`).
+    meets: ClassVar[Literal["all"]] = "all"
+    contact_limit: ClassVar[None] = None
 
     @classmethod
     def from_points(cls, name: str, points: FloatArray, radius: float, sigma: float = 0.0) -> Cloud:

@@ -80,6 +80,9 @@ class Hull(Record):
     #: The solid is the hull of its core grown by its rounding; `excess` is its maximum distance from the obstacle [m].
     is_point_set: ClassVar[Literal[False]] = False
     excess: ClassVar[float] = 0.0
+    #: It counts for all links, and is no part of a limb (`hplan.scene.obstacle_kind.Convex`).
+    meets: ClassVar[Literal["all"]] = "all"
+    contact_limit: ClassVar[None] = None
 
     @property
     def hull(self) -> Hull:

@@ -216,9 +216,8 @@ def improve(motion: Transit, upright: Chain | None = None) -> Iterator[Transit]:
         program = replace(time_problem(problem, start), upright=upright)
         spline = minimize_time(start, program, effort.optimization)
     if spline is not None and spline.duration < start.duration:
-        quicker = spline.trajectory(program.dynamics, program.rate_hz)
-        certificate = certificate_of(problem, quicker)
-        if certificate.verified:
+        quicker, certificate = certify_gently(problem, spline.trajectory(program.dynamics, program.rate_hz))
+        if certificate.verified and quicker.duration < start.duration:
             yield motion.with_trajectory(quicker, certificate, spline.path)
 
 
@@ -297,8 +296,7 @@ def _optimize(
         with stage("timing"):
             motions = fastest_motions(starts, effort, quicker_than_s=quicker_than_s)
         for number, motion in motions:
-            trajectory = motion.trajectory(dynamics, rate_hz)
-            certificate = certificate_of(problem, trajectory)
+            trajectory, certificate = certify_gently(problem, motion.trajectory(dynamics, rate_hz))
             if certificate.verified:
                 return _transit(problem, polylines[number], motion.path, trajectory, certificate)
     return None
@@ -331,7 +329,7 @@ def certified_trajectory(
             limits = replace(limits, velocity=np.minimum(limits.velocity, np.maximum(speed * largest, 1e-3)))
         trajectory = time_along(problem, path, limits, grid)
         largest = np.abs(trajectory.velocity).max(axis=0) if speed == 1.0 else largest
-        certificate = certificate_of(problem, trajectory, None if among is None else among(trajectory))
+        trajectory, certificate = certify_gently(problem, trajectory, among)
         if certificate.verified:
             break
     return trajectory, require_certificate(problem, certificate)
@@ -359,6 +357,31 @@ def time_along(
     limits, rate_hz = motion_limits(problem) if limits is None else limits, problem.options.rate_hz
     with stage("timing"):
         return time_path(path, problem.robot.dynamics, limits, rate_hz=rate_hz, grid=grid)
+
+
+def certify_gently(
+    problem: Problem, trajectory: Trajectory, among: Callable[[Trajectory], Sequence[Stretch]] | None = None
+) -> tuple[Trajectory, Certificate]:
+    """A trajectory and its certificate, verified or not; slower where impacts on limbs require it.
+
+    Args:
+        among: Returns the segments and obstacles to certify a trajectory against; None for the obstacles of the
+            problem.
+    """
+    certificate = certificate_of(problem, trajectory, None if among is None else among(trajectory))
+    for _ in range(_GENTLE_TRIALS):
+        if certificate.gentle_speeds is None:
+            break
+        try:
+            trajectory = trajectory.scale_speed(certificate.gentle_speeds, problem.robot)
+        except TimingError:
+            break
+        certificate = certificate_of(problem, trajectory, None if among is None else among(trajectory))
+    return trajectory, certificate
+
+
+#: Maximum number of times that a motion is slowed down where it meets limbs.
+_GENTLE_TRIALS = 3
 
 
 def certificate_of(

@@ -29,7 +29,7 @@ from hplan.planning.options import PlanOptions
 from hplan.robot.files import neighbouring_links
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel, largest_fraction, name_margin
-from hplan.scene.model import Scene, hanging_from
+from hplan.scene.model import Scene, growing_from, hanging_from
 from hplan.scene.obstacle_kind import Sigmas, Solid, growths
 
 #: Maximum number of cached clearances.
@@ -129,7 +129,7 @@ class World(Record):
 
         Other links may push the solids that it is attached to.
         """
-        rigid = [solid.name for solid in self.solids if solid.name in hangs_from and not solid.yields]
+        rigid = [s.name for s in self.solids if s.name in hangs_from and not s.yields and s.contact_limit is None and s.meets == "all"]
         touched, hanging = (*self.touched, name), (*self.hanging, *rigid)
         checker = self.checker.allow_touch(name, rigid)
         if not rigid:
@@ -304,6 +304,7 @@ def without_inside(robot: Robot, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
     parts = {key: getattr(scene, key) for key in Scene.model_fields}
     for key in ("obstacles", "fruits"):
         parts[key] = tuple(part for part in parts[key] if part.name not in inside)
+    parts["obstacles"] = growing_from(parts["obstacles"])
     parts["fruits"] = hanging_from(parts["obstacles"], parts["fruits"])
     if scene.goal.fruit in inside and parts["fruits"]:
         parts["goal"] = scene.goal.copy_unchecked({"fruit": parts["fruits"][0].name})

@@ -25,6 +25,7 @@ from hplan.geometry.cloud import Cloud
 from hplan.geometry.hull import Hull
 from hplan.geometry.rotation import quaternion_rotation, rpy_rotation
 from hplan.scene.imports import Import, flatten_imports
+from hplan.scene.limbs import find_parents
 from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Size, Vector
 from hplan.scene.obstacle_kind import (
     CovarianceField,
@@ -36,9 +37,10 @@ from hplan.scene.obstacle_kind import (
     transform_fields,
     turned_covariance,
 )
-from hplan.scene.obstacles import AnyObstacle, Obstacle, Solid, Sphere
+from hplan.scene.obstacles import AnyObstacle, Capsule, Obstacle, Solid, Sphere
 from hplan.scene.robot_source import RobotField
 from hplan.scene.tracks import Movement
+from hplan.scene.wood import Wood, contact_solids, limbs_of
 
 #: Format of scene files, the value of their key `format`.
 FORMAT: Final = "hplan-scene/1"
@@ -270,6 +272,8 @@ class Scene(StrictModel):
         clearance: Minimum distance from every obstacle [m]; compliant obstacles (`yields`) are exempt for links that
             may deflect them.
         yield_links: Names of the links that may deflect compliant obstacles; None for the links of the last two joints.
+        wood: Limits of force and stress for limbs (capsules with a `parent`) and the fruit on them; they replace
+            `yields` for these. None for none.
         obstacles: Obstacles.
         fruits: Fruit; obstacles too, except the goal.
         covariance: Covariance of a position error that all obstacles and fruits share, for example of the camera or the
@@ -301,6 +305,7 @@ class Scene(StrictModel):
     base_track: TrackField = None
     covariance: CovarianceField = None
     yield_links: Annotated[tuple[Name, ...] | None, Field(exclude=True)] = None
+    wood: Annotated[Wood | None, Field(exclude=True)] = None
 
     @model_validator(mode="after")
     def _names_are_unique(self) -> Scene:
@@ -317,7 +322,20 @@ class Scene(StrictModel):
             for name in fruit.hangs_from:
                 if name not in wood:
                     raise fault(f"{name!r} is not among the obstacles", "fruits", index, "hangs_from")
+        self._check_limbs()
         return self
+
+    def _check_limbs(self) -> None:
+        """Check that parents are capsules of the scene, and that no limb is its own ancestor."""
+        capsules = {obstacle.name for obstacle in self.obstacles if isinstance(obstacle, Capsule)}
+        grown = [(i, o.parent) for i, o in enumerate(self.obstacles) if isinstance(o, Capsule) and o.parent is not None]
+        for index, parent in grown:
+            if parent not in capsules:
+                raise fault(f"{parent!r} is not among the capsules", "obstacles", index, "parent")
+        if self.wood is not None and not grown:
+            raise fault("no capsule has a parent; with_limbs(scene, wood) finds them, or --contact-force", "wood")
+        if grown and self.wood is not None:
+            limbs_of(self.obstacles, self.wood)
 
     @property
     def goal_fruit(self) -> Fruit | None:
@@ -341,7 +359,8 @@ class Scene(StrictModel):
     @property
     def gives_way(self) -> bool:
         """True if an obstacle, a fruit or an attached branch is compliant."""
-        return any(item.yields for item in (*self.obstacles, *self.fruits)) or any(f.hangs_from for f in self.fruits)
+        items = (*self.obstacles, *self.fruits)
+        return self.wood is not None or any(item.yields for item in items) or any(f.hangs_from for f in self.fruits)
 
     @property
     def moves(self) -> bool:
@@ -381,11 +400,7 @@ class Scene(StrictModel):
 
         Tracks are ignored; `movements` has them.
         """
-        balls = (
-            Sphere(name=f.name, center=f.center, radius=f.radius, sigma=f.sigma, sway=f.sway, yields=f.yields).solids[0]
-            for f in self.fruits
-        )
-        listed = (*(solid for obstacle in self.obstacles for solid in obstacle.solids), *balls)
+        listed = tuple(solid for _, solids in self._solids_of_items() for solid in solids)
         if self.covariance is None:
             return listed
         sigmas = {name: largest_deviation(error + self.shared_error) for name, error in self.errors.items()}
@@ -395,6 +410,15 @@ class Scene(StrictModel):
             else solid.copy_unchecked({"sigma": sigmas[solid.name]})
             for solid in listed
         )
+
+    def _solids_of_items(self) -> Iterator[tuple[Obstacle | Fruit, tuple[Solid, ...]]]:
+        """Obstacles and fruits, each with its solids."""
+        bending = {} if self.wood is None else contact_solids(self.obstacles, self.fruits, self.wood)
+        for obstacle in self.obstacles:
+            yield obstacle, bending.get(obstacle.name) or obstacle.solids
+        for f in self.fruits:
+            ball = Sphere(name=f.name, center=f.center, radius=f.radius, sigma=f.sigma, sway=f.sway, yields=f.yields)
+            yield f, bending.get(f.name) or ball.solids
 
     @property
     def errors(self) -> dict[str, FloatArray]:
@@ -416,8 +440,8 @@ class Scene(StrictModel):
         None is a solid that does not move relative to the base.
         """
         found: list[Movement | None] = []
-        for item, movement in self._listed_movements():
-            found += [movement] * (1 if isinstance(item, Fruit) else len(item.solids))
+        for (_, movement), (_, solids) in zip(self._listed_movements(), self._solids_of_items(), strict=True):
+            found += [movement] * len(solids)
         return tuple(found)
 
     def _listed_movements(self) -> Iterator[tuple[Obstacle | Fruit, Movement | None]]:
@@ -580,7 +604,7 @@ class Scene(StrictModel):
             or fruit.name == self.goal.fruit
             or math.dist(fruit.center, point) - fruit.radius <= reach
         )
-        return self.copy_unchecked({"obstacles": obstacles, "fruits": hanging_from(obstacles, fruits)})
+        return self.copy_unchecked({"obstacles": growing_from(obstacles), "fruits": hanging_from(obstacles, fruits)})
 
     def with_obstacles(self, obstacles: Sequence[AnyObstacle]) -> Scene:
         """Return a checked copy with other obstacles.
@@ -598,8 +622,8 @@ class Scene(StrictModel):
         """
         obstacles = list_of("obstacles", obstacles, AnyObstacle, "obstacles")
         parts = {key: getattr(self, key) for key in type(self).model_fields}
-        fruits = hanging_from(obstacles, self.fruits)
-        return Scene.model_validate({**parts, "obstacles": obstacles, "fruits": fruits})
+        parts |= {"obstacles": growing_from(obstacles), "fruits": hanging_from(obstacles, self.fruits)}
+        return Scene.model_validate(parts)
 
 
 #: Scenes that `checked_scene` has checked, by id: their values do not change.
@@ -632,6 +656,60 @@ def hanging_from(obstacles: Iterable[Obstacle], fruits: Iterable[Fruit]) -> tupl
         else fruit.copy_unchecked({"hangs_from": tuple(name for name in fruit.hangs_from if name in wood)})
         for fruit in fruits
     )
+
+
+def growing_from(obstacles: Iterable[Obstacle]) -> tuple[Obstacle, ...]:
+    """Obstacles of which none grows from a capsule that is not listed.
+
+    A limb without its parent is clamped at its start, so it counts as stiffer.
+    """
+    obstacles = tuple(obstacles)
+    capsules = {obstacle.name for obstacle in obstacles if isinstance(obstacle, Capsule)}
+    return tuple(
+        obstacle.copy_unchecked({"parent": None})
+        if isinstance(obstacle, Capsule) and obstacle.parent is not None and obstacle.parent not in capsules
+        else obstacle
+        for obstacle in obstacles
+    )
+
+
+def with_limbs(scene: Scene, wood: Wood | None = None) -> Scene:
+    """Return a scene whose wood bends: parents of the limbs found, and limits of force and stress.
+
+    Parents are found by `hplan.scene.limbs.find_parents` unless a capsule has one already. Capsules that are named wire
+    or post are no limbs.
+
+    Args:
+        scene: A scene with trees of capsules.
+        wood: Limits and properties; None for the scene's own, or the defaults.
+
+    Raises:
+        SceneError: No two capsules touch each other.
+
+    Examples:
+        >>> from hplan.scene import load_scene, with_limbs
+        >>> scene = with_limbs(load_scene("orchard-row"))
+        >>> next(obstacle.parent for obstacle in scene.obstacles if obstacle.name == "tree 1 branch 1")
+        'tree 1 trunk 2'
+        >>> scene.wood.contact_force
+        10.0
+    """
+    instance("scene", scene, Scene, "load_scene")
+    obstacles = scene.obstacles
+    if not any(isinstance(piece, Capsule) and piece.parent is not None for piece in obstacles):
+        trees = [piece for piece in obstacles if isinstance(piece, Capsule) and not is_trellis(piece.name)]
+        parents = find_parents(trees)
+        obstacles = tuple(
+            piece.copy_unchecked({"parent": parents[piece.name]}) if piece.name in parents else piece
+            for piece in obstacles
+        )
+    wood = scene.wood or Wood() if wood is None else instance("wood", wood, Wood)
+    return scene.with_values(obstacles=obstacles, wood=wood)
+
+
+def is_trellis(name: str) -> bool:
+    """True for names of wires and posts."""
+    return any(word in ("wire", "post") for word in name.split())
 
 
 def _ball_distance(solid: Solid, point: FloatArray) -> float:

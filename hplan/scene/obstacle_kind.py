@@ -14,11 +14,11 @@ larger by `SWEPT_ERROR` cover the swept balls; if that needs too many points, fe
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from pydantic import AfterValidator, Field, PrivateAttr, model_validator
@@ -132,10 +132,69 @@ def _rotation(rpy_deg: tuple[float, float, float]) -> FloatArray:
     return readonly(rpy_rotation(*map(math.radians, rpy_deg)))
 
 
+class ContactLimit(NamedTuple):
+    """What the deepest permitted contact does to a limb or a fruit, and what is allowed (`hplan.scene.wood`).
+
+    Static force and stress of a smaller depth are at most in proportion.
+
+    Attributes:
+        depth: Permitted depth [m].
+        force: Static force at this depth [N].
+        stress: Largest static bending stress of the limb at this depth [Pa].
+        segment: Number of the limb segment, or of the one that a fruit hangs from.
+        root: Number of the first bending segment on its path from the clamp; -1 for a fruit on wood that does not bend.
+        along: First and last point of the part on the segment's axis, from its start [m].
+        impact: Force of an impact per speed of the link [N s/m].
+        impact_stress: Bending stress of an impact per speed of the link [Pa s/m].
+        swing: Force on a stalk per squared speed of the link [N s^2/m^2].
+        most_force: Allowed force [N].
+        most_stress: Allowed bending stress [Pa].
+        displacement: For a fruit the largest displacement of its limb where it hangs by a force on another part of a
+            limb, as a function of that part's limit [m/N]; None for limbs.
+        capture_range: Allowed displacement of a fruit that is grasped [m].
+    """
+
+    depth: float
+    force: float
+    stress: float
+    segment: int
+    root: int
+    along: tuple[float, float]
+    impact: float
+    impact_stress: float
+    swing: float
+    most_force: float
+    most_stress: float
+    displacement: Callable[[ContactLimit], float] | None
+    capture_range: float
+
+
+#: Links that a solid counts for: all, those that may push compliant obstacles, or the others.
+Meets: TypeAlias = Literal["all", "pushing", "others"]
+
+
 class Convex(Kind):
     """One convex solid: the hull of its core grown by its rounding."""
 
     is_point_set: ClassVar[Literal[False]] = False
+    _meets: Meets = PrivateAttr("all")
+    _contact_limit: ContactLimit | None = PrivateAttr(None)
+
+    @property
+    def meets(self) -> Meets:
+        """Links that the solid counts for."""
+        return self._meets
+
+    @property
+    def contact_limit(self) -> ContactLimit | None:
+        """What the deepest permitted contact does; None for a solid that is no part of a limb or hanging fruit."""
+        return self._contact_limit
+
+    def met_by(self, meets: Meets, limit: ContactLimit | None = None) -> Self:
+        """Copy of the solid that counts for some links only."""
+        found = self.copy_unchecked({})
+        found._meets, found._contact_limit = meets, limit
+        return found
 
     @property
     def core(self) -> FloatArray:

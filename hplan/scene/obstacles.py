@@ -92,6 +92,8 @@ class Capsule(Convex):
         end: Second end of the axis; key `to` in files [m].
         radius: Radius [m].
         sigma: Standard deviation of each coordinate of its position [m].
+        parent: Name of the capsule that it grows from, for a limb of a tree (`hplan.scene.limbs`); None for a root, and
+            for what is no limb.
 
     Examples:
         >>> from hplan.scene import Capsule
@@ -106,6 +108,7 @@ class Capsule(Convex):
     end: Vector = Field(validation_alias="to", serialization_alias="to")
     radius: Size
     sigma: Sigma = 0.0
+    parent: Annotated[Name | None, Field(exclude=True)] = None
 
     @property
     def core(self) -> FloatArray:

@@ -1,0 +1,162 @@
+"""Loads on limbs and fruit: whether the contacts of a motion keep the limits of force and stress.
+
+Each contact alone keeps them by its depth (`hplan.scene.wood`) and speed. Several contacts at a time are combined:
+
+- Contacts of one link, or of links that share a joint, are on one side of a limb. A displacement by one of them never
+  increases the force that another one needs for its own, so each force is at most its depth over its compliance.
+- Their stresses add up, on all limbs that share the first bending segment from the clamp. On one segment, the largest
+  counts: of contacts on one side, the bending moment lies between those that each would cause alone.
+- Other links might squeeze a limb from two sides, which no depth bounds. Such contacts are refused.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray
+from hplan.certificate.pushes import Load, Push
+from hplan.robot.model import Robot
+from hplan.scene.obstacle_kind import ContactLimit
+
+#: Loads of a limb at one time, by link.
+_Loads = dict[str, list[tuple[Push, Load]]]
+
+
+def load_violations(robot: Robot, pushes: Sequence[Push]) -> Iterator[str]:
+    """Messages about limits of force and stress that contacts do not keep.
+
+    Args:
+        robot: The arm.
+        pushes: Contacts within single segments of a motion, as from `hplan.certificate.pushes.pushes_along`.
+    """
+    by_time: dict[float, list[tuple[Push, Load]]] = defaultdict(list)
+    worst = dict[tuple[str, str, str], tuple[float, str]]()
+    for push in pushes:
+        if push.load is None:
+            continue
+        by_time[push.begin_s].append((push, push.load))
+        if push.load.force > push.load.limit.most_force:
+            words = f"exerts up to {push.load.force:.3g} N on {push.obstacle!r}, {_speed_in_words(push.load)}"
+            _note(worst, (push.link, push.obstacle, "force"), push.load.force,
+                  f"{words}; allowed: {push.load.limit.most_force:g} N")  # fmt: skip
+    for begin_s, found in by_time.items():
+        roots: dict[int, list[tuple[Push, Load]]] = defaultdict(list)
+        for push, load in found:
+            if load.limit.root >= 0:
+                roots[load.limit.root].append((push, load))
+        for loads in roots.values():
+            stress, allowed = _stress(loads), loads[0][1].limit.most_stress
+            if stress > allowed:
+                push = max(loads, key=lambda pair: pair[1].stress)[0]
+                _note(worst, (push.link, push.obstacle, "stress"), stress,
+                      f"and others bend {push.obstacle!r} by up to {1e-6 * stress:.3g} MPa at {begin_s:.6g} s; allowed: "
+                      f"{1e-6 * allowed:g} MPa")  # fmt: skip
+            pinched = _squeezing(robot, loads)
+            if pinched is not None:
+                one, other = pinched
+                _note(worst, (one.link, one.obstacle, "side"), 0.0,
+                      f"and {other.link!r} may squeeze {one.obstacle!r} and {other.obstacle!r} from two sides at "
+                      f"{begin_s:.6g} s")  # fmt: skip
+    for (link, _, _), (_, words) in worst.items():
+        yield f"{robot.link_in_words(link)} {words}"
+
+
+def goal_displacement(pushes: Sequence[Push], fruit: ContactLimit, time_s: float) -> float:
+    """Upper bound of the displacement of a fruit's limb by the contacts at a time [m].
+
+    Args:
+        pushes: Contacts within single segments of a motion.
+        fruit: The fruit's own contact limit.
+        time_s: Time of the grasp [s].
+    """
+    largest: dict[int, float] = defaultdict(float)
+    for push in pushes:
+        load = push.load
+        if load is None or not push.begin_s <= time_s <= push.end_s or fruit.displacement is None:
+            continue
+        if load.limit.root >= 0 and load.limit.root == fruit.root and load.limit.swing == 0.0:
+            moved = load.share * load.limit.force * fruit.displacement(load.limit)
+            largest[load.limit.segment] = max(largest[load.limit.segment], moved)
+    return sum(largest.values())
+
+
+def gentle_speeds(pushes: Sequence[Push], duration_s: float) -> FloatArray | None:
+    """Fractions of a motion's speed over time with which impacts keep the limits of force and stress.
+
+    Args:
+        pushes: Contacts within single segments of the motion.
+        duration_s: Its duration [s].
+
+    Returns:
+        (n, 2) times [s] and fractions, as for `Trajectory.scale_speed`; None if the motion need not be slower, or if no
+        speed helps.
+    """
+    slower = list[tuple[float, float, float]]()
+    by_root: dict[tuple[float, int], list[tuple[Push, Load]]] = defaultdict(list)
+    for push in pushes:
+        load = push.load
+        if load is None:
+            continue
+        by_root[push.begin_s, load.limit.root].append((push, load))
+        room = load.limit.most_force - load.share * load.limit.force
+        if load.impact > room:
+            slower.append((push.begin_s, push.end_s, max(0.0, room) / load.impact))
+    for (_, root), loads in by_root.items():
+        impact = max(load.impact_stress for _, load in loads)
+        room = loads[0][1].limit.most_stress - (_stress(loads) - impact)
+        if root >= 0 and impact > room:
+            push = loads[0][0]
+            slower.append((push.begin_s, push.end_s, max(0.0, room) / impact))
+    if not slower or min(fraction for *_, fraction in slower) < _SLOWEST:
+        return None
+    times = np.linspace(0.0, duration_s, max(2, round(duration_s / _SPEED_STEP_S) + 1))
+    fractions = np.ones(len(times))
+    for begin_s, end_s, fraction in slower:
+        near = (times >= begin_s - _EASE_S) & (times <= end_s + _EASE_S)
+        fractions[near] = np.minimum(fractions[near], _SPARE * fraction)
+    return np.column_stack([times, fractions])
+
+
+#: Minimum fraction of its speed to which a motion is slowed down for impacts.
+_SLOWEST: Final = 0.15
+
+#: Part of the speed that impacts allow which is used: the bound of a slower motion's speed is not as sharp.
+_SPARE: Final = 0.93
+
+#: Time before and after a contact with the reduced speed, and step of the speeds [s].
+_EASE_S: Final = 0.06
+_SPEED_STEP_S: Final = 0.02
+
+
+def _note(worst: dict[tuple[str, str, str], tuple[float, str]], key: tuple[str, str, str], size: float, words: str) -> None:
+    """Keep the message of the largest violation of a kind."""
+    if key not in worst or size > worst[key][0]:
+        worst[key] = size, words
+
+
+def _speed_in_words(load: Load) -> str:
+    return f"{load.impact:.3g} N of it by its speed of up to {load.speed:.3g} m/s"
+
+
+def _stress(loads: Sequence[tuple[Push, Load]]) -> float:
+    """Bending stress by simultaneous contacts of limbs with one root [Pa]."""
+    of_segment: dict[tuple[int, bool], float] = defaultdict(float)
+    for _, load in loads:
+        key = load.limit.segment, load.limit.swing > 0.0
+        of_segment[key] = max(of_segment[key], load.stress)
+    return sum(of_segment.values()) + max(load.impact_stress for _, load in loads)
+
+
+def _squeezing(robot: Robot, loads: Sequence[tuple[Push, Load]]) -> tuple[Push, Push] | None:
+    """Two contacts by links that share no joint, or None."""
+    parents = robot.model.parents
+    for n, (push, load) in enumerate(loads):
+        for other, second in loads[:n]:
+            a, b = load.joint, second.joint
+            if a != b and parents[a] != b and parents[b] != a:
+                return push, other
+    return None

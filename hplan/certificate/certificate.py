@@ -55,11 +55,11 @@ from hplan.certificate.clearance_curve import (
 from hplan.certificate.clearance_proof import Proof, prove_clearance
 from hplan.certificate.digests import Digests
 from hplan.certificate.goal_contact import FruitContact, contact_window
+from hplan.certificate.limb_loads import gentle_speeds, goal_displacement, load_violations
 from hplan.certificate.limit_use import LimitUse, limit_use
 from hplan.certificate.motion_bound import fastest, largest_deviations
 from hplan.certificate.moving_obstacles import checker_in_time, clear_until, end_violations, moving_base_contacts
 from hplan.certificate.pair_rules import PairRule, joined_rules, pair_rules
-from hplan.certificate.limb_loads import gentle_speeds, goal_displacement, load_violations
 from hplan.certificate.pushes import Push
 from hplan.certificate.start_state import start_violations
 from hplan.certificate.task_check import task_violations
@@ -593,7 +593,9 @@ def all_of(parts: Sequence[Certificate]) -> Certificate:
         clear_until_s=parts[-1].clear_until_s if all(part.verified for part in parts) else None,
         pair_rules=joined_rules(part.pair_rules for part in parts),
         uncovered_links=tuple(dict.fromkeys(name for part in parts for name in part.uncovered_links)),
-        goal_displacement_m=max((p.goal_displacement_m for p in parts if p.goal_displacement_m is not None), default=None),
+        goal_displacement_m=max(
+            (p.goal_displacement_m for p in parts if p.goal_displacement_m is not None), default=None
+        ),
     )
 
 

@@ -22,9 +22,6 @@ from hplan.certificate.pushes import Load, Push
 from hplan.robot.model import Robot
 from hplan.scene.obstacle_kind import ContactLimit
 
-#: Loads of a limb at one time, by link.
-_Loads = dict[str, list[tuple[Push, Load]]]
-
 
 def load_violations(robot: Robot, pushes: Sequence[Push]) -> Iterator[str]:
     """Messages about limits of force and stress that contacts do not keep.
@@ -53,8 +50,8 @@ def load_violations(robot: Robot, pushes: Sequence[Push]) -> Iterator[str]:
             if stress > allowed:
                 push = max(loads, key=lambda pair: pair[1].stress)[0]
                 _note(worst, (push.link, push.obstacle, "stress"), stress,
-                      f"and others bend {push.obstacle!r} by up to {1e-6 * stress:.3g} MPa at {begin_s:.6g} s; allowed: "
-                      f"{1e-6 * allowed:g} MPa")  # fmt: skip
+                      f"and others bend {push.obstacle!r} by up to {1e-6 * stress:.3g} MPa at {begin_s:.6g} s; "
+                      f"allowed: {1e-6 * allowed:g} MPa")  # fmt: skip
             pinched = _squeezing(robot, loads)
             if pinched is not None:
                 one, other = pinched
@@ -132,7 +129,9 @@ _EASE_S: Final = 0.06
 _SPEED_STEP_S: Final = 0.02
 
 
-def _note(worst: dict[tuple[str, str, str], tuple[float, str]], key: tuple[str, str, str], size: float, words: str) -> None:
+def _note(
+    worst: dict[tuple[str, str, str], tuple[float, str]], key: tuple[str, str, str], size: float, words: str
+) -> None:
     """Keep the message of the largest violation of a kind."""
     if key not in worst or size > worst[key][0]:
         worst[key] = size, words

@@ -145,9 +145,6 @@ def pushes_along(
             due.setdefault(following, []).append(pair)
 
 
-#: Fields of which a merged contact has the largest value.
-_LARGEST = ("depth_m", "force_n", "stress_mpa")
-
 #: Shortest time in which a speed is measured [s].
 _TINY_S = 1e-9
 
@@ -168,8 +165,10 @@ def merge_contacts(found: Iterable[Push]) -> tuple[Push, ...]:
         last = whole[-1] if whole else push
         same = whole and (last.link, last.obstacle) == (push.link, push.obstacle)
         if same and push.begin_s <= last.end_s:
-            deepest = {key: _larger(getattr(last, key), getattr(push, key)) for key in _LARGEST}
-            whole[-1] = replace(last, end_s=max(last.end_s, push.end_s), **deepest)
+            whole[-1] = replace(
+                last, depth_m=max(last.depth_m, push.depth_m), end_s=max(last.end_s, push.end_s),
+                force_n=_larger(last.force_n, push.force_n), stress_mpa=_larger(last.stress_mpa, push.stress_mpa),
+            )  # fmt: skip
         else:
             whole.append(replace(push, load=None))
     return tuple(sorted(whole, key=lambda push: push.begin_s))

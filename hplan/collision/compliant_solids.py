@@ -184,7 +184,7 @@ def maximum_deflection(
         OptionError: A name in `yield_links` is not a moving link.
     """
     depth = np.array(
-        [solid.yields or HANGING_M * (solid.name in hanging and solid.contact_limit is None) for solid in solids],
+        [solid.yields or HANGING_M * (solid.name in hanging and not solid.is_limb) for solid in solids],
         dtype=np.float64,
     )
     if not depth.any():

@@ -49,6 +49,7 @@ class Cloud(Record):
     #: It counts for all links, and is no part of a limb (`hplan.scene.obstacle_kind.Convex`).
     meets: ClassVar[Literal["all"]] = "all"
     contact_limit: ClassVar[None] = None
+    is_limb: ClassVar[Literal[False]] = False
 
     @classmethod
     def from_points(cls, name: str, points: FloatArray, radius: float, sigma: float = 0.0) -> Cloud:

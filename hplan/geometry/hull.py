@@ -83,6 +83,7 @@ class Hull(Record):
     #: It counts for all links, and is no part of a limb (`hplan.scene.obstacle_kind.Convex`).
     meets: ClassVar[Literal["all"]] = "all"
     contact_limit: ClassVar[None] = None
+    is_limb: ClassVar[Literal[False]] = False
 
     @property
     def hull(self) -> Hull:

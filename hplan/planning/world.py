@@ -129,7 +129,7 @@ class World(Record):
 
         Other links may push the solids that it is attached to.
         """
-        rigid = [s.name for s in self.solids if s.name in hangs_from and not s.yields and s.contact_limit is None and s.meets == "all"]
+        rigid = [s.name for s in self.solids if s.name in hangs_from and not s.yields and not s.is_limb]
         touched, hanging = (*self.touched, name), (*self.hanging, *rigid)
         checker = self.checker.allow_touch(name, rigid)
         if not rigid:

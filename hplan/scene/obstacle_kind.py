@@ -190,6 +190,11 @@ class Convex(Kind):
         """What the deepest permitted contact does; None for a solid that is no part of a limb or hanging fruit."""
         return self._contact_limit
 
+    @property
+    def is_limb(self) -> bool:
+        """True for solids of limbs and hanging fruit, whose depths follow from forces."""
+        return self._meets != "all" or self._contact_limit is not None
+
     def met_by(self, meets: Meets, limit: ContactLimit | None = None) -> Self:
         """Copy of the solid that counts for some links only."""
         found = self.copy_unchecked({})

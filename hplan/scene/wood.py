@@ -174,7 +174,7 @@ class Pushables(NamedTuple):
     depth: FloatArray
     swing: FloatArray
 
-    def at(self, kept: FloatArray | IntArray) -> Pushables:
+    def at(self, kept: BoolArray | IntArray) -> Pushables:
         """Those of a mask or of some numbers."""
         rows = np.arange(len(self.names))[kept].tolist()
         fields = self._asdict() | {"names": tuple(self.names[row] for row in rows)}
@@ -225,9 +225,7 @@ def _is_still_capsule(piece: Any) -> TypeGuard[Capsule]:
     return isinstance(piece, Capsule) and piece.track is None and piece.sway is None
 
 
-def _contact_solids(
-    obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood: Wood
-) -> dict[str, tuple[Solid, ...]]:
+def _contact_solids(obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood: Wood) -> dict[str, tuple[Solid, ...]]:
     limbs = limbs_of(obstacles, wood)
     if not len(limbs.names):
         return {}
@@ -256,9 +254,9 @@ def _contact_solids(
             })  # fmt: skip
             found.setdefault(name, (whole[name].met_by("others"),))
             found[name] += (solid.met_by("pushing", limit),)
-    for name, (first, *parts) in found.items():
-        if not any(solid.yields for solid in parts):
-            found[name] = (first.met_by("all", parts[0].contact_limit),)  # rigid, whatever hangs from it
+    for name, solids in found.items():
+        if not any(solid.yields for solid in solids):  # rigid, whatever hangs from it
+            found[name] = (whole[name].met_by("all", solids[-1].contact_limit),)
     return found
 
 
@@ -286,7 +284,9 @@ class HangingPoint(Record):
             for number, ends in zip(numbers, ((self.along,), limit.along), strict=True)
         ]
         return max(
-            float(np.linalg.norm(limbs.mutual_compliance(numbers, np.stack([places[0][0], at]), self.youngs_modulus), 2))
+            float(
+                np.linalg.norm(limbs.mutual_compliance(numbers, np.stack([places[0][0], at]), self.youngs_modulus), 2)
+            )
             for at in places[1]
         )
 
@@ -452,7 +452,7 @@ class Neighbours(NamedTuple):
 
     def at(self, kept: BoolArray) -> Neighbours:
         """Those of a mask."""
-        return Neighbours(*(field[kept] for field in self))
+        return Neighbours(self.pushable[kept], self.gap[kept], self.stiffness[kept], self.depth[kept])
 
 
 def _squeezed_depth(most: float, per_depth: float, limit: float, neighbours: Neighbours) -> float:
@@ -494,12 +494,10 @@ def _neighbours(
         found.append(Neighbours(row, gap, stiffness, room))
         found.append(_fruit_neighbours(pushables, rows, depth, hanging, related))
         for solid in stiff:
-            gap = _solid_distance(middles, solid) - halves - pushables.radius[rows]
+            gap = _solid_distance(start[rows], end[rows], solid) - pushables.radius[rows]
             near = gap < depth[rows]
-            count = int(near.sum())
-            found.append(
-                Neighbours(rows[near], np.maximum(0.0, gap[near]), np.full(count, np.inf), np.zeros(count))
-            )
+            rigid = np.full(int(near.sum()), np.inf)
+            found.append(Neighbours(rows[near], np.maximum(0.0, gap[near]), rigid, np.zeros(len(rigid))))
     if not found:
         return Neighbours(np.zeros(0, dtype=np.int64), *(np.zeros(0) for _ in range(3)))
     return Neighbours(*(np.concatenate(columns) for columns in zip(*found, strict=True)))
@@ -524,18 +522,22 @@ def _fruit_neighbours(
     return Neighbours(rows[row], gap[row, other], 1.0 / np.maximum(soft, _TINY), room)
 
 
-def _solid_distance(points: FloatArray, solid: Solid) -> FloatArray:
-    """(k,) lower bounds of the distances of (k, 3) points from a solid [m]."""
+def _solid_distance(start: FloatArray, end: FloatArray, solid: Solid) -> FloatArray:
+    """(k,) lower bounds of the distances of axes between (k, 3) points from a solid [m]."""
     core = solid.core
     if isinstance(solid, Cloud):
         from scipy.spatial import cKDTree
 
-        distance = cKDTree(core).query(points)[0]
+        count = 9  # points of each axis; between two of them the distance is at most half a step smaller
+        points = np.linspace(start, end, count)
+        step = np.linalg.norm(end - start, axis=1) / (count - 1)
+        distance = cKDTree(core).query(points)[0].min(axis=0) - 0.5 * step
     elif len(core) <= 2:
-        distance = _axis_distance(points, points, *(np.broadcast_to(core[at], points.shape) for at in (0, -1)))[0]
-    else:
-        outside = np.maximum(core.min(axis=0) - points, points - core.max(axis=0))
-        distance = np.linalg.norm(np.maximum(outside, 0.0), axis=1)
+        distance = _axis_distance(start, end, *(np.broadcast_to(core[at], start.shape) for at in (0, -1)))[0]
+    else:  # of the boxes about both
+        low, high = np.minimum(start, end), np.maximum(start, end)
+        apart = np.maximum(core.min(axis=0) - high, low - core.max(axis=0))
+        distance = np.linalg.norm(np.maximum(apart, 0.0), axis=1)
     found: FloatArray = distance - solid.rounding
     return found
 
@@ -569,7 +571,7 @@ def _smallest(matrices: FloatArray, axis: FloatArray, weight: FloatArray) -> Flo
     """(k,) minimum over both ends of the smallest eigenvalue of (2, k, 3, 3) matrices + weight a a^T."""
     if not len(axis):
         return np.zeros(0)
-    found: FloatArray = np.linalg.eigvalsh(
-        matrices + weight[:, None, None] * axis[:, :, None] * axis[:, None]
-    )[..., 0].min(axis=0)
+    found: FloatArray = np.linalg.eigvalsh(matrices + weight[:, None, None] * axis[:, :, None] * axis[:, None])[
+        ..., 0
+    ].min(axis=0)
     return found

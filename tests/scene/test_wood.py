@@ -1,0 +1,199 @@
+"""Permitted depths of limbs and fruit, beside the compliance at random points and normals."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from hplan.certificate.digests import scene_digest
+from hplan.errors import SceneError
+from hplan.scene import Box, Capsule, Fruit, Goal, Scene, Start, Wood, dump_scene, load_scene, parse_scene, with_limbs
+from hplan.scene.obstacle_kind import ContactLimit
+from hplan.scene.wood import LARGE_ROTATION_FORCE, MOST_ROTATION, STATIC_SHARE, contact_solids, limbs_of
+
+TRUNK = Capsule(name="trunk", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, 2.0), radius=0.03)
+TWIG = Capsule(name="twig", start=(0.0, 0.0, 1.0), end=(0.4, 0.0, 1.0), radius=0.004, parent="trunk")
+REST = Start(joints_deg=(0.0, 90.0, 90.0, 90.0)), Goal(joints_deg=(0.0, 90.0, 90.0, 90.0))
+
+
+def random_tree(seed: int, count: int = 25) -> tuple[Capsule, ...]:
+    """A trunk with crooked branches."""
+    random = np.random.default_rng(seed)
+    tree = [TRUNK]
+    for number in range(count):
+        parent = tree[int(random.integers(len(tree)))]
+        start = np.array(parent.start) + random.uniform(0.3, 1.0) * (np.array(parent.end) - np.array(parent.start))
+        step = random.normal(size=3)
+        end = start + random.uniform(0.05, 0.4) * step / np.linalg.norm(step)
+        radius = min(0.9 * parent.radius, random.uniform(0.002, 0.009))
+        tree.append(Capsule(name=f"b {number}", start=tuple(start), end=tuple(end), radius=radius, parent=parent.name))
+    return tuple(tree)
+
+
+def scene_of(obstacles: tuple[Capsule | Box, ...], wood: Wood | None = None, fruits: tuple[Fruit, ...] = ()) -> Scene:
+    return Scene(
+        name="wood",
+        start=REST[0],
+        goal=REST[1],
+        obstacles=obstacles,
+        fruits=fruits,
+        wood=Wood() if wood is None else wood,
+    )
+
+
+def limit_of(solid: object) -> ContactLimit:
+    limit = getattr(solid, "contact_limit", None)
+    assert isinstance(limit, ContactLimit)
+    return limit
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_normal_finds_more_than_the_permitted_force(seed: int) -> None:
+    tree, wood, random = random_tree(seed), Wood(), np.random.default_rng(seed)
+    limbs, checked = limbs_of(tree, wood), 0
+    for solids in contact_solids(tree, (), wood).values():
+        for solid in solids:
+            if solid.meets != "pushing" or solid.yields == 0.0:
+                continue
+            limit = limit_of(solid)
+            axis, length = limbs.axis[limit.segment], float(limbs.length[limit.segment])
+            extension = 0.5 * (np.linalg.norm(solid.core[1] - solid.core[0]) - (limit.along[1] - limit.along[0]))
+            for _ in range(20):
+                at = random.uniform(*limit.along)
+                normal = random.normal(size=3)
+                normal /= np.linalg.norm(normal)
+                compliance = limbs.compliance(limit.segment, at / length, wood.stiffest)[:3, :3]
+                needed = max(0.0, limit.depth - float(extension) * abs(float(normal @ axis)))
+                force = needed / float(normal @ compliance @ normal)
+                assert force <= STATIC_SHARE * wood.contact_force * (1.0 + 1e-9)
+                assert force <= limit.force * (1.0 + 1e-9)
+                point = limbs.start[limit.segment] + at * axis
+                stress = force * float(limbs.stress_per_force(np.array([limit.segment]), point[None])[0])
+                assert stress <= min(limit.stress, STATIC_SHARE * wood.wood_stress) * (1.0 + 1e-9)
+                checked += 1
+    assert checked > 300
+
+
+def test_tip_of_a_cantilever() -> None:
+    wood = Wood(contact_force=1.0)
+    tip = contact_solids((TRUNK, TWIG), (), wood)["twig"][-1]
+    rigidity = wood.stiffest * 0.25 * math.pi * 0.004**4
+    compliance = 0.4**3 / (3.0 * rigidity)
+    # The tip of the last part moves farther than its first point, for which the depth is.
+    at = limit_of(tip).along
+    first = at[0] ** 3 / (3.0 * rigidity)
+    assert STATIC_SHARE * first <= limit_of(tip).depth * (1.0 + LARGE_ROTATION_FORCE * MOST_ROTATION**2)
+    assert limit_of(tip).depth <= STATIC_SHARE * compliance
+    # Along its axis the twig is rigid: the part reaches as much farther as it yields.
+    assert tip.core[:, 0].max() == pytest.approx(0.4 + limit_of(tip).depth)
+
+
+def test_near_the_root_a_limb_is_rigid() -> None:
+    parts = contact_solids((TRUNK, TWIG), (), Wood())["twig"]
+    assert parts[0].meets == "others"
+    depths = [part.yields for part in parts[1:]]
+    assert depths == sorted(depths)
+    assert depths[0] < 0.002
+    assert depths[-1] > 0.03
+
+
+def test_other_links_meet_the_whole_limb() -> None:
+    whole = contact_solids((TRUNK, TWIG), (), Wood())["twig"][0]
+    assert whole.core.tolist() == TWIG.core.tolist()
+    assert whole.yields == 0.0
+
+
+def test_a_limb_is_not_pushed_into_a_rigid_obstacle() -> None:
+    box = Box(name="box", center=(0.35, 0.1, 1.0), size=(0.2, 0.18, 0.3))  # 6 mm beside the twig
+    free, beside = (
+        {limit_of(part).along: part.yields for part in contact_solids(all_of, (), Wood())["twig"][1:]}
+        for all_of in ((TRUNK, TWIG), (TRUNK, TWIG, box))
+    )
+    assert max(free.values()) > 0.03
+    assert max(depth for along, depth in beside.items() if along[1] > 0.3) == pytest.approx(0.006, abs=1e-6)
+
+
+def test_a_limb_bends_its_neighbour_too() -> None:
+    other = Capsule(name="other", start=(0.0, 0.02, 1.0), end=(0.4, 0.02, 1.0), radius=0.004, parent="trunk")
+    wood = Wood(contact_force=2.0, wood_stress_mpa=1e3)
+    alone, both = (contact_solids(all_of, (), wood)["twig"][-1] for all_of in ((TRUNK, TWIG), (TRUNK, TWIG, other)))
+    assert 0.012 < both.yields < alone.yields
+    assert limit_of(both).force == pytest.approx(STATIC_SHARE * wood.contact_force)
+    assert limit_of(both).stress < limit_of(alone).stress
+
+
+def test_fruit_swings_but_is_not_pulled_off() -> None:
+    fruit = Fruit(name="apple", center=(0.1, 0.0, 0.94), radius=0.04)
+    whole, part = contact_solids((TRUNK, TWIG), (fruit,), Wood())["apple"]
+    assert whole.core.tolist() == [[0.1, 0.0, 0.94]]
+    limit = limit_of(part)
+    assert 0.02 < limit.depth <= 0.06
+    assert limit.force <= STATIC_SHARE * Wood().fruit_force
+    # Above and below it is about as large as it yields: the limb is stiff there.
+    assert part.core[:, 2].max() > 0.94 + 0.7 * limit.depth
+
+
+def test_fruit_far_from_wood_does_not_yield() -> None:
+    fruit = Fruit(name="apple", center=(0.3, 0.0, 0.8), radius=0.04)
+    assert "apple" not in contact_solids((TRUNK, TWIG), (fruit,), Wood())
+
+
+def test_scene_files_keep_limbs() -> None:
+    scene = scene_of((TRUNK, TWIG), Wood(contact_force=5.0))
+    read = parse_scene(dump_scene(scene))
+    assert read == scene
+    assert read.wood == Wood(contact_force=5.0)
+    assert scene_digest(read) == scene_digest(scene)
+    assert scene_digest(scene.with_values(wood=Wood())) != scene_digest(scene)
+
+
+def test_without_limits_limbs_change_nothing() -> None:
+    plain = load_scene("orchard-row")
+    grown = with_limbs(plain).with_values(wood=None)
+    assert any(piece.parent for piece in grown.obstacles if isinstance(piece, Capsule))
+    assert [solid.core.tolist() for solid in grown.solids] == [solid.core.tolist() for solid in plain.solids]
+    assert scene_digest(grown) == scene_digest(plain)
+
+
+def test_solids_of_derived_scenes_are_kept() -> None:
+    scene = with_limbs(load_scene("orchard-row"))
+    other = scene.with_values(goal=scene.goal.copy_unchecked({"fruit": scene.fruits[3].name}))
+    first = {solid.name: solid for solid in scene.listed_solids if solid.meets == "pushing"}
+    assert first
+    assert all(any(solid is one for one in other.listed_solids) for solid in first.values())
+
+
+def test_a_limb_without_its_parent_is_clamped_at_its_start() -> None:
+    second = Capsule(name="second", start=(0.4, 0.0, 1.0), end=(0.6, 0.0, 1.0), radius=0.003, parent="twig")
+    third = Capsule(name="third", start=(0.6, 0.0, 1.0), end=(0.8, 0.0, 1.0), radius=0.003, parent="second")
+    scene = scene_of((TRUNK, TWIG, second, third))
+    cropped = scene.with_obstacles([second, third])
+    assert [piece.parent for piece in cropped.obstacles if isinstance(piece, Capsule)] == [None, "second"]
+    deepest = [max(solid.yields for solid in one.listed_solids if solid.name == "third") for one in (scene, cropped)]
+    assert deepest[1] < deepest[0]
+
+
+def test_parents_must_be_capsules_of_the_scene() -> None:
+    with pytest.raises(SceneError, match="'trunk' is not among the capsules") as found:
+        scene_of((TWIG,))
+    assert found.value.where == "obstacles[0].parent"
+
+
+def test_limits_need_limbs() -> None:
+    with pytest.raises(SceneError, match="no capsule has a parent"):
+        scene_of((TRUNK,))
+
+
+def test_young_modulus_is_an_interval() -> None:
+    with pytest.raises(SceneError, match="expected the minimum first, got 5 and 2"):
+        Wood(youngs_modulus_gpa=(5.0, 2.0))
+
+
+def test_wires_and_posts_are_no_limbs() -> None:
+    scene = with_limbs(load_scene("trellis"))
+    parents = {piece.name: piece.parent for piece in scene.obstacles if isinstance(piece, Capsule)}
+    assert any(parents.values())
+    assert not any(parent for name, parent in parents.items() if name.startswith(("wire", "post")))
+    assert all(limb.meets == "all" for limb in scene.listed_solids if limb.name.startswith("wire"))

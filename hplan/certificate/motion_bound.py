@@ -40,7 +40,7 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, TableArray
 from hplan.base.kernels import kernel
-from hplan.collision.coal_arm import ArmParts, arm_parts
+from hplan.collision.coal_arm import arm_parts
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.compiled_bodies import joint_table
 from hplan.collision.compiled_placements import place_joints
@@ -83,30 +83,14 @@ def fastest(bezier: FloatArray, duration: FloatArray) -> FloatArray:
     return fastest
 
 
-def pair_sways(checker: CoalScene, deviations: FloatArray) -> FloatArray:
-    """Tracking displacement bound of each pair, (pairs, k) [m].
-
-    `deviations` is (k, dof) [rad].
-    """
-    _, reaches = _reaches(checker.parts, deviations)
-    sways: FloatArray = reaches @ deviations.T
-    return sways[_mover_of(checker)]
-
-
 def largest_pair_sway(robot: Robot, deviation: FloatArray) -> float:
     """Upper bound on the clearance loss caused by joint errors [m].
 
     `deviation` is (dof,). Self-collision pairs are included.
     """
     parts = arm_parts(robot, float(deviation.max(initial=0.0)), 0.0)
-    _, reaches = _reaches(parts, deviation)
+    _, reaches = parts.deviated_reaches(deviation)
     return float((reaches @ deviation).max(initial=0.0))
-
-
-def _mover_of(checker: CoalScene) -> IntArray:
-    """(pairs,) index of each pair's moving body in `ArmParts.movers`."""
-    alone, own = len(checker.parts.shapes), len(checker.parts.own)
-    return np.concatenate([np.repeat(np.arange(alone), checker.own_first), np.arange(alone, alone + own)])
 
 
 def at_rows(sway: FloatArray) -> FloatArray:
@@ -166,22 +150,13 @@ def motion_of_movers(
         in each segment [m]; (movers, k) displacement bound of its pairs by deviations [m].
     """
     parts, robot = checker.parts, checker.robot
-    of_bodies, reaches = _reaches(parts, deviations)
+    of_bodies, reaches = parts.deviated_reaches(deviations)
     starts, motion = _group_segments(np.ascontiguousarray(bezier), _TOGETHER, _TURN)
     travels = _travels(motion, of_bodies, parts.rows, joint_table(robot), *parts.travellers, parts.motion_groups)
     nearer = np.zeros((len(travels), len(deviations)))
     np.maximum.at(nearer, parts.motion_groups, reaches @ deviations.T)
     pieces = np.diff(starts, append=len(bezier))
-    return parts.motion_groups[_mover_of(checker)], np.repeat(travels / pieces, pieces, axis=1), nearer
-
-
-def _reaches(parts: ArmParts, deviations: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """`ArmParts.reaches` for (..., dof) deviations.
-
-    For prismatic joints the maximum deviation is rounded up to a power of two, so that few distinct values occur.
-    """
-    largest = float(deviations.max(initial=0.0)) if any(parts.robot.slides) else 0.0
-    return parts.reaches(2.0 ** math.ceil(math.log2(max(largest, 1e-3))) if largest > 0.0 else 0.0)
+    return parts.motion_groups[checker.pair_movers], np.repeat(travels / pieces, pieces, axis=1), nearer
 
 
 @kernel

@@ -234,6 +234,14 @@ class ArmParts(Record):
             self._reaches[beyond] = alone, counts * found[both].sum(axis=1)
         return self._reaches[beyond]
 
+    def deviated_reaches(self, deviations: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """`reaches` for joints that deviate by at most (..., dof) [rad, m].
+
+        For prismatic joints the maximum deviation is rounded up to a power of two, so that few distinct values occur.
+        """
+        largest = float(deviations.max(initial=0.0)) if any(self.robot.slides) else 0.0
+        return self.reaches(2.0 ** math.ceil(math.log2(max(largest, 1e-3))) if largest > 0.0 else 0.0)
+
     @cached_property
     def _reaches(self) -> dict[float, tuple[FloatArray, FloatArray]]:
         return {}

@@ -30,6 +30,7 @@ from hplan.collision.coal_moving_solids import MovingSolids
 from hplan.collision.coal_pairs import GeometryPairs
 from hplan.collision.coal_shapes import beyond_geometry
 from hplan.collision.compliant_solids import maximum_deflection, pushing_links
+from hplan.collision.distance_checker import FAR
 from hplan.collision.self_pairs import required_distances
 from hplan.errors import MovingObstacleError
 from hplan.robot.model import Robot
@@ -105,8 +106,9 @@ class CoalScene:
         link_shapes: Shapes of the links, link by link.
         pairs: Index of the moving body in `mover_names` and of the obstacle or part in `obstacle_names`, for each pair.
         parts: Parts of the arm and its self-collision pairs, which are the last of `pairs`.
-        deviation: Maximum excess of joints over their limits [rad]; parts that can touch within it form pairs.
-        clearance: Required clearance between parts of the arm [m]; parts that can come nearer form pairs.
+        deviation: Tracking error of each joint [rad]; parts that can touch if joints exceed their limits by it form
+            pairs.
+        clearance: Required clearance [m]; parts of the arm that can come nearer form pairs.
         moving: The moving obstacles with their movements; None if no obstacle moves.
         supported: Names of a link and an obstacle that supports it (`hplan.collision.coal_arm.supports`); their
             distance counts as infinite.
@@ -264,6 +266,7 @@ class CoalScene:
         """
         other = object.__new__(CoalScene)
         vars(other).update(vars(self))
+        vars(other).pop("required_distances", None)
         other._touched = (*self._touched, (name, tuple(hangs_from)))
         if hangs_from:
             links, hanging = self._built["yield_links"], {each for _, names in other._touched for each in names}
@@ -518,15 +521,65 @@ class CoalScene:
         pair, distance = self.nearest_pair(np.asarray(q, dtype=np.float64), -self.deflection_offsets(0.0), time_s)
         return self.contact(*self.pairs[pair], distance)
 
+    def pair_sways(self, deviations: FloatArray) -> FloatArray:
+        """Tracking displacement bound of each pair, (pairs, k) [m].
+
+        `deviations` is (k, dof) [rad].
+        """
+        _, reaches = self.parts.deviated_reaches(deviations)
+        sways: FloatArray = reaches @ deviations.T
+        return sways[self.pair_movers]
+
+    @cached_property
+    def pair_movers(self) -> IntArray:
+        """(pairs,) index of each pair's moving body in `ArmParts.movers`."""
+        alone, own = len(self.parts.shapes), len(self.parts.own)
+        return np.concatenate([np.repeat(np.arange(alone), self.own_first), np.arange(alone, alone + own)])
+
+    @cached_property
+    def required_distances(self) -> tuple[FloatArray, FloatArray]:
+        """(pairs,) required distances and (pairs,) tracking displacement bounds that come on top [m].
+
+        They belong to the checker's own `clearance` and `deviation`.
+        """
+        count = len(self.pairs)
+        kept = np.broadcast_to(np.asarray(self.required_distance(self.clearance), dtype=np.float64), (count,))
+        if self.deviation == 0.0:
+            return kept, np.zeros(count)
+        return kept, self.pair_sways(np.full((1, self.robot.dof), self.deviation))[:, 0]
+
+    def nearest_spare(self, q: FloatArray) -> tuple[int, float, float]:
+        """Pair with the minimum spare clearance, its distance, and that clearance [m]; there must be pairs."""
+        kept, sways = self.required_distances
+        worst, distance = self.nearest_pair(q, kept + sways)
+        return worst, distance, (distance - float(sways[worst])) - float(kept[worst])
+
+    def spare_clearance(self, q: ArrayLike, enough: float = FAR) -> float:
+        """Minimum distance beyond the required one at one configuration, clamped to `enough` [m].
+
+        Raises:
+            MovingObstacleError: An obstacle moves.
+        """
+        return min(self.nearest_spare(np.asarray(q, dtype=np.float64))[2], enough) if self.pairs else enough
+
+    def spare_clearances(self, configurations: ArrayLike, enough: float = FAR) -> FloatArray:
+        """Minimum distance beyond the required one at each configuration, clamped to `enough`, (n,) [m].
+
+        Raises:
+            MovingObstacleError: An obstacle moves.
+        """
+        return np.array([self.spare_clearance(q, enough) for q in np.asarray(configurations, dtype=np.float64)])
+
     def in_collision(self, configurations: ArrayLike, *, margin: float = 0.0) -> BoolArray:
-        """(n,) mask of configurations in collision.
+        """(n,) mask of the configurations whose spare clearance is at most a margin.
 
         All configurations are checked in one compiled call.
 
         Args:
             configurations: (n, dof) joint values [rad, m].
-            margin: Maximum distance that counts as contact [m]; if it is negative, minimum depth that does (for a cloud
-                at most its radius: contact with the points themselves always counts).
+            margin: Maximum spare clearance that counts as collision [m]; if the required distance plus margin is
+                negative, minimum depth that does (for a cloud at most its radius: contact with the points themselves
+                always counts).
 
         Raises:
             MovingObstacleError: An obstacle moves.
@@ -536,8 +589,8 @@ class CoalScene:
         q = np.asarray(configurations, dtype=np.float64)
         if not self.obstacle_names:
             return np.zeros(len(q), dtype=np.bool_)
-        kept = self.required_distance(margin) if margin > 0.0 else self._but_pushed(np.full(len(self.pairs), margin))
-        margins = kept + self._taken_off
+        kept, sways = self.required_distances
+        margins = (kept + sways + margin) + self._taken_off
         # Coal does not support negative margins for trees.
         margins[self._taken_off > 0.0] = np.maximum(0.0, margins[self._taken_off > 0.0])
         return self._geometry.in_collision(q, margins)

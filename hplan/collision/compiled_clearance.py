@@ -36,9 +36,6 @@ from hplan.geometry.vectors import Pose, Vector, dot, sub, turned_back, vector_o
 
 _FIRST_ROW = any_int(0)
 
-#: Clearances are clamped to this value by default [m].
-FAR = 0.2
-
 #: Relative tolerance: a clearance may be returned too small by this fraction of itself.
 EXACT = 1e-10
 

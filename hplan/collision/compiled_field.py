@@ -17,9 +17,10 @@ from numpy.typing import ArrayLike
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, TableArray, frozen
 from hplan.base.deadline import check_deadline, kernel_time_limit
 from hplan.collision.compiled_bodies import FlatBodies
-from hplan.collision.compiled_clearance import FAR, body_slopes, clearances_along
+from hplan.collision.compiled_clearance import body_slopes, clearances_along
 from hplan.collision.compiled_motions import mark_near, path_is_clear
 from hplan.collision.compiled_obstacles import JOINT_RANGE, OBSTACLE, FieldArrays, rows_of
+from hplan.collision.distance_checker import FAR
 from hplan.errors import OptionError
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
@@ -176,7 +177,7 @@ class ClearanceField(Record):
     def link_clearances(self, q: ArrayLike, enough: float = FAR) -> FloatArray:
         """Clearance of each moving body at one configuration [m].
 
-        Clamped and signed as by `along`.
+        Clamped and signed as by `clearance_along`.
         """
         found: FloatArray = self.clearance_along(np.asarray(q)[None], enough)[0]
         return found
@@ -198,9 +199,21 @@ class ClearanceField(Record):
         check_deadline()
         return result
 
-    def clearance(self, q: ArrayLike) -> float:
-        """Minimum clearance of all moving bodies at one configuration [m]."""
-        return float(self.link_clearances(q).min())
+    def spare_clearance(self, q: ArrayLike, enough: float = FAR) -> float:
+        """Minimum clearance of all moving bodies at one configuration, clamped to `enough` [m]."""
+        return float(self.spare_clearances(np.asarray(q)[None], enough)[0])
+
+    def spare_clearances(self, configurations: ArrayLike, enough: float = FAR) -> FloatArray:
+        """Minimum clearance of all moving bodies at each configuration, clamped to `enough`, (n,) [m].
+
+        The obstacles and the arm's own bodies are grown by what is required, so all of it is spare.
+        """
+        found: FloatArray = self.clearance_along(configurations, enough).min(axis=1, initial=enough)
+        return found
+
+    def in_collision(self, configurations: ArrayLike, *, margin: float = 0.0) -> BoolArray:
+        """(n,) mask of the configurations whose spare clearance is at most a margin [m]; (n, dof) configurations."""
+        return self.spare_clearances(configurations, max(FAR, 2.0 * margin)) <= margin
 
     def is_clear(self, path: ArrayLike, margin: float) -> bool:
         """True if the straight motions between waypoints are verified collision-free.

@@ -77,7 +77,7 @@ def _pairs(robot: Robot) -> list[tuple[FloatArray, FloatArray]]:
     begins[0] = 0.5 * (low + high)
     goals = begins + np.clip(np.roll(begins, -1, axis=0) - begins, -_LARGEST_STEP, _LARGEST_STEP)
     field = ClearanceField.build(robot, ())
-    clear = np.minimum(field.clearance_along(begins).min(axis=1), field.clearance_along(goals).min(axis=1)) > 0.0
+    clear = np.minimum(field.spare_clearances(begins), field.spare_clearances(goals)) > 0.0
     return list(zip(begins[clear], goals[clear], strict=True))[:_PAIRS]
 
 

@@ -14,10 +14,11 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import kernel
-from hplan.collision.compiled_clearance import FAR, body_slopes, least_body_clearance
+from hplan.collision.compiled_clearance import body_slopes, least_body_clearance
 from hplan.collision.compiled_field import ClearanceField
 from hplan.collision.compiled_motions import piece_is_clear
 from hplan.collision.compiled_obstacles import FieldArrays
+from hplan.collision.distance_checker import FAR
 from hplan.geometry.polyline import stations
 from hplan.optimization.options import JointArrays, PostprocessOptions
 from hplan.trajectory.cubics import bezier_piece

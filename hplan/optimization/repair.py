@@ -69,7 +69,7 @@ def pushed_clear(
         The polyline, and the indices of the given motions that could not be repaired.
     """
     points = path.copy()
-    for number in (np.flatnonzero(field.clearance_along(path[1:-1]).min(axis=1) < margin) + 1).tolist():
+    for number in (np.flatnonzero(field.spare_clearances(path[1:-1]) < margin) + 1).tolist():
         for wanted in (margin + _EXTRA_CLEARANCE, margin):
             there = _push_out(path[number], field, lower, upper, wanted)
             if there is not None:
@@ -106,7 +106,7 @@ def leave_contact(
     path = q[None]
     # Target clearances, in order, when leaving a narrow place [m].
     for wanted in (5e-3, 0.01, 0.02, 0.04, 0.08):
-        if field.clearance(path[-1]) >= wanted:
+        if field.spare_clearance(path[-1]) >= wanted:
             continue
         there = _push_out(path[-1], field, lower, upper, wanted)
         if there is None or not field.is_clear(np.stack([path[-1], there]), margin):
@@ -199,4 +199,4 @@ def _push_out(
         # processors.
         push = ties.on_raster(push * min(1.0, _LARGEST_PUSH / max(float(np.abs(push).max()), 1e-12)))
         q = np.clip(q + push, lower, upper)
-    return q if field.clearance(q) >= wanted else None
+    return q if field.spare_clearance(q) >= wanted else None

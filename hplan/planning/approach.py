@@ -104,9 +104,7 @@ class Approach:
         path = grasp.line(robot, locked, possible)
         away = np.linspace(grasp.distance, possible, 16)
         field = self.target.transit_world(grasp).field
-        touching = np.flatnonzero(
-            field.clearance_along(path.evaluate((1.0 - away / possible) * path.end)).min(axis=1) < 0.0
-        )
+        touching = np.flatnonzero(field.spare_clearances(path.evaluate((1.0 - away / possible) * path.end)) < 0.0)
         return float(away[max(0, touching[0] - 1)]) if len(touching) else possible
 
     def non_stop(self, lead: float) -> Trajectory | None:

@@ -154,7 +154,7 @@ def _shown_clear(problem: Problem, path: GivenPath) -> tuple[FloatArray, tuple[i
     # Fraction of the margin required of the path itself; smoothing uses the whole margin if possible.
     path_margin = 0.1
     with stage("postprocess"):
-        spare = float(field.clearance_along(points[[0, -1]]).min())
+        spare = float(field.spare_clearances(points[[0, -1]]).min())
         margin = path_margin * min(MARGIN, 0.5 * spare) if spare > 0.0 else path_margin * MARGIN
         if spare > 0.0 and field.is_clear(points, margin):
             return points, ()
@@ -339,7 +339,7 @@ def places_of(world: World, path: GivenPath, margin: float) -> Iterator[Place]:
         margin: Clearance beyond the required one for motions to be verified collision-free [m].
     """
     points = path.points
-    low = np.flatnonzero(world.field.clearance_along(points).min(axis=1) < margin).tolist()
+    low = np.flatnonzero(world.field.spare_clearances(points) < margin).tolist()
     near = {number: _check_with_coal(world, points[number]) for number in low}
     for number in range(len(points)):
         error = near.get(number)
@@ -397,7 +397,7 @@ def _deepest_contact(world: World, ends: FloatArray, number: int) -> Place | Non
     travel = float((reach(world.robot) @ np.abs(step)).max(initial=0.0))
     count = int(min(max(2, math.ceil(travel / STEP_M)), MOST_STEPS))
     fractions = np.linspace(0.0, 1.0, count + 1)
-    clearances = world.field.clearance_along(first + fractions[:, None] * step).min(axis=1)
+    clearances = world.field.spare_clearances(first + fractions[:, None] * step)
     deepest: tuple[float, ConfigurationInCollisionError] | None = None
 
     def look_at(fraction: float) -> None:
@@ -419,7 +419,7 @@ def _deepest_contact(world: World, ends: FloatArray, number: int) -> Place | Non
         width *= 0.5
         tried = np.clip([centre - width, centre, centre + width], 0.0, 1.0)
         if deepest is None:
-            centre = float(tried[ties.argmin(world.field.clearance_along(first + tried[:, None] * step).min(axis=1))])
+            centre = float(tried[ties.argmin(world.field.spare_clearances(first + tried[:, None] * step))])
             look_at(centre)
         else:
             for fraction in (tried[0], tried[2]):

@@ -303,10 +303,8 @@ def _sort_grasps(
     numbers, robot = list(chosen), target.world.robot
     goals, begins = found.configurations[numbers], np.array([begin for _, begin in chosen.values()])
     distances = np.array([distance for distance, _ in chosen.values()])
-    before = np.where(distances > 0.0, target.world.field.clearance_along(begins).min(axis=1), SPARE)
-    rooms = np.minimum(
-        np.minimum(target.world_touching.field.clearance_along(goals).min(axis=1), before), SPARE
-    ).tolist()
+    before = np.where(distances > 0.0, target.world.field.spare_clearances(begins), SPARE)
+    rooms = np.minimum(np.minimum(target.world_touching.field.spare_clearances(goals), before), SPARE).tolist()
     limits = robot.velocity_limit, robot.acceleration_limit
     turns = np.abs(begins - start), np.abs(goals - begins)
     least = sum(rest_to_rest(turn, *limits).max(axis=1) for turn in turns)
@@ -363,7 +361,7 @@ def _clear_candidates(
             found = sampler.at_point(
                 robot, target.position, approach_deg=angle, count=count, start=start, locked=tuple(locked)
             )
-        rooms: FloatArray = target.world_touching.field.clearance_along(found.configurations).min(axis=1)
+        rooms: FloatArray = target.world_touching.field.spare_clearances(found.configurations)
         rooms[~ranges.hold(found.configurations)] = _BEYOND
         return found, rooms
 
@@ -414,7 +412,7 @@ def _clear_approaches(
             break
         begins = approaches[:, -1]
         clear = feasible & ranges.hold(begins)
-        clear[clear] = target.world.field.clearance_along(begins[clear]).min(axis=1) > room
+        clear[clear] = target.world.field.spare_clearances(begins[clear]) > room
         for i in np.flatnonzero(clear).tolist():
             if i not in chosen and target.world_touching.field.is_clear(approaches[i], 0.5 * room):
                 chosen[i] = length, frozen(begins[i].copy())

@@ -13,12 +13,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import check_deadline
-from hplan.certificate.motion_bound import pair_sways
 from hplan.certificate.moving_obstacles import leaving_of
 from hplan.collision.coal_arm import BASE_DEPTH, base_radius
 from hplan.collision.coal_scene import CoalScene, Leaving, OwnContact, base_contacts
@@ -176,11 +174,11 @@ class World(Record):
     def _check(self, q: FloatArray, which: str) -> float:
         checker = self.checker if which == "start" else self._firm_checker
         if self.deviation == 0.0:
-            return check_clear(checker, q, self.clearance, which)
-        sway = pair_sways(self.checker, np.full((1, self.robot.dof), self.deviation))[:, 0]
+            return check_clear(checker, q, which)
         try:
-            return check_clear(checker, q, self.clearance, which, sway=sway)
+            return check_clear(checker, q, which)
         except ConfigurationInCollisionError as error:
+            _, sway = self.checker.required_distances
             left = self.checker.pair_distances(q) - self.clearance
             fraction = float((left / np.maximum(sway, 1e-300)).min())
             name_margin(error, TrackingModel(self.deviation), self.robot.slides, fraction)
@@ -202,7 +200,7 @@ class World(Record):
             smaller = self.linked.field(self.robot, own_clearance=self.clearance, deviation=deviation)
             if self.touched:
                 smaller = smaller.ignoring_last_link(self.linked.name_mask(self.touched))
-            return bool((smaller.clearance_along(configurations).min(axis=1) > wanted).any())
+            return bool((smaller.spare_clearances(configurations) > wanted).any())
 
         return largest_fraction(is_clear)
 
@@ -230,26 +228,22 @@ class World(Record):
             )
 
 
-def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str, *, sway: ArrayLike = 0.0) -> float:
-    """Return the distance beyond the required clearance [m], inf without obstacles.
+def check_clear(checker: CoalScene, q: FloatArray, which: str) -> float:
+    """Return the spare clearance of a configuration [m], inf without obstacles.
 
     Args:
         q: (dof,) configuration.
-        clearance: Required clearance [m].
         which: Name of the configuration, for the error.
-        sway: Tracking displacement bound of each of the checker's pairs [m].
 
     Raises:
-        ConfigurationInCollisionError: It touches an obstacle or itself, or comes closer than `clearance` plus
-            displacement bound; names link, obstacle or other part of the arm, and depth.
+        ConfigurationInCollisionError: It touches an obstacle or itself, or comes closer than the checker's clearance
+            plus displacement bound; names link, obstacle or other part of the arm, and depth.
     """
     if not checker.pairs:
         return float("inf")
-    kept = np.broadcast_to(np.asarray(checker.required_distance(clearance)), (len(checker.pairs),))
-    sways = np.broadcast_to(np.asarray(sway, dtype=np.float64), kept.shape)
-    worst, distance = checker.nearest_pair(q, kept + sways)
-    beyond = (distance - float(sways[worst])) - float(kept[worst])
+    worst, distance, beyond = checker.nearest_spare(q)
     if beyond <= 0.0:
+        kept, sways = checker.required_distances
         nearest = checker.contact(*checker.pairs[worst], distance)
         is_own, robot = isinstance(nearest, OwnContact), checker.robot
         error = ConfigurationInCollisionError(

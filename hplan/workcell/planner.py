@@ -386,7 +386,7 @@ def _check_arms_apart(cell: Cell) -> None:
             bodies with their arms, and the depth or distance.
     """
     checker = CoalScene(cell.robot, (), clearance=cell.scene.clearance)
-    check_clear(checker, cell.configuration({}), cell.scene.clearance, "start")
+    check_clear(checker, cell.configuration({}), "start")
 
 
 def _to_goal(there: Cell, name: str, options: PlanOptions, goal: Goal | None = None) -> Trajectory:

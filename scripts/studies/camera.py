@@ -114,7 +114,7 @@ def _frames(config: StudyConfig, problem: tuple[Orchard, int]) -> list[Row]:
     camera = DepthCamera(math.ceil(size / DepthCamera(10_000, simulation).seen), simulation)
     field, random = ClearanceField.build(robot, truth), np.random.default_rng([config.seed, size])
     least_m = CLEAR_M - 1e-6  # many goals have exactly this clearance, up to rounding
-    goals = [goal for goal in crop_of(robot, orchard)[0].values() if field.clearance(goal) > least_m][:GOALS]
+    goals = [goal for goal in crop_of(robot, orchard)[0].values() if field.spare_clearance(goal) > least_m][:GOALS]
     rows = list[Row]()
     for number, goal in enumerate(goals):
         scene = Scene(name="camera", start=orchard.scene.start, goal=Goal(joints_rad=tuple(goal.tolist())),
@@ -123,7 +123,7 @@ def _frames(config: StudyConfig, problem: tuple[Orchard, int]) -> list[Row]:
         for frame in range(FRAMES):
             row = _plan(planner, camera, camera.frame(random), home)
             found = planner.last if row["certified"] else None
-            true_m = None if found is None else float(field.clearance_along(found.trajectory.position).min())
+            true_m = None if found is None else float(field.spare_clearances(found.trajectory.position).min())
             rows.append(row | {
                 "name": f"{orchard.name}, {size}, goal {number}, frame {frame}",
                 "size": f"{size:,}",

@@ -100,7 +100,7 @@ def ompl_path(
 
     def is_free(state: Any) -> bool:
         q[0, joints] = [state[axis] for axis in axes]
-        return world.field.clearance(q[0]) > 0.0
+        return world.field.spare_clearance(q[0]) > 0.0
 
     setup.setStateValidityChecker(is_free)
     information = setup.getSpaceInformation()
@@ -115,7 +115,7 @@ def ompl_path(
     setup.setStartAndGoalStates(*ends)
     setup.setPlanner(getattr(geometric, planner)(information))
     world.field.is_clear(q, MARGIN_M)  # compile before OMPL's time starts
-    world.field.clearance(begin)
+    world.field.spare_clearance(begin)
     # If an end is in collision OMPL sleeps without CPU time: a wall-clock limit wakes it.
     until_s, patience_s = time.thread_time() + seconds, time.monotonic() + 1.5 * seconds
     setup.solve(

@@ -127,7 +127,7 @@ def motions_in(robot: Robot, orchard: Orchard) -> list[TreeProblem]:
     """From home to each fruit, then from each fruit to the next, in the order of their distance from the base."""
     scene, home = orchard.scene, orchard.scene.start.configuration
     goals, _ = crop_of(robot, orchard)
-    clear = ClearanceField.build(robot, scene.solids_with_goal, clearance=scene.clearance).clearance(home) > 0.0
+    clear = ClearanceField.build(robot, scene.solids_with_goal, clearance=scene.clearance).spare_clearance(home) > 0.0
     ways = [("home", home, name, goal) for name, goal in goals.items()] if clear else []
     ways += [(*one, *other) for one, other in pairwise(goals.items())]
     named = [(f"{orchard.name}: {before} to {after}", start, goal) for before, start, after, goal in ways]
@@ -145,14 +145,14 @@ def _standoff(robot: Robot, scene: Scene, fruit: Fruit, home: FloatArray) -> Flo
         goals = reach(robot, fruit.center, count=GRASPS, start=home).configurations
     except UnreachableError as error:
         return error.reason
-    goals = goals[touching.clearance_along(goals).min(axis=1) > SPARE]
+    goals = goals[touching.spare_clearances(goals) > SPARE]
     if not len(goals):
         return "blocked"
     feasible, polylines = straight_approaches(robot, goals, STANDOFF)
     ways = polylines[feasible]
     if not len(ways):
         return "no_approach"
-    clear = [way[-1] for way in ways if world.clearance(way[-1]) > SPARE and touching.is_clear(way, 0.5 * SPARE)]
+    clear = [way[-1] for way in ways if world.spare_clearance(way[-1]) > SPARE and touching.is_clear(way, 0.5 * SPARE)]
     limits = robot.velocity_limit, robot.acceleration_limit
     return min(clear, key=lambda q: least_duration(home, q, *limits), default="blocked")
 

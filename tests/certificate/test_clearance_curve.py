@@ -15,7 +15,6 @@ from toy_urdf import urdf
 from hplan.certificate.certificate import Certificate, all_of, certify
 from hplan.certificate.clearance_curve import ClearanceCurve, ProvedMotion
 from hplan.certificate.limit_use import limit_use
-from hplan.certificate.motion_bound import pair_sways
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import OptionError
 from hplan.planning.plan import plan
@@ -73,7 +72,7 @@ def check_against_coal(certificate: Certificate, step: float = 2e-3) -> int:
             last = rows[min(part.stop, len(rows) - 1)]
             clock = np.unique([*np.arange(rows[part.start], last, step), *rows[part.start : part.stop], last])
             covering = checker.with_margins(float(deviations.max()), motion.clearance)
-            sways = pair_sways(covering, deviations)
+            sways = covering.pair_sways(deviations)
             found = np.array([covering.pair_distances(q) for q in on_cubics(motion.trajectory, clock)])
             piece = np.clip(np.searchsorted(rows, clock, side="right") - 1 - part.start, 0, sways.shape[1] - 1)
             bound = np.interp(clock, curve.time, curve.clearance_m)

@@ -279,7 +279,7 @@ def test_field_and_coal_agree_on_supports(arm, hanging):
         for q in grasp + 0.05 * rng.normal(size=(200, arm.dof)):
             for number, world in enumerate(both):
                 left = (world.checker.pair_distances(q) - world.checker.required_distance(0.005)).min()
-                assert (left <= 1e-6) == (world.field.clearance(q) <= 1e-6)
+                assert (left <= 1e-6) == (world.field.spare_clearance(q) <= 1e-6)
                 seen.add((number, bool(left <= 1e-6)))
         assert {(0, False), (2, True)} <= seen
 
@@ -292,7 +292,7 @@ def test_support_is_rigid_for_other_links(arm):
         stub = Sphere(name="stub", center=tuple(place.tolist()), radius=0.01)
         fruit = Sphere(name="fruit", center=(0.0, 0.0, 3.0), radius=0.04)
         near = World.build(arm, [stub, fruit]).allow_touch("fruit", ["stub"])
-        assert (near.field.clearance(q) > 0.0) == (name in pushing_links(arm, None))
+        assert (near.field.spare_clearance(q) > 0.0) == (name in pushing_links(arm, None))
         if name in pushing_links(arm, None):
             near.check_clear(q, "start")
         else:

@@ -309,7 +309,7 @@ def test_mast_on_turret_is_checked_against_every_link(tmp_path):
         assert checker.nearest_contact(q).distance_m == pytest.approx(
             checker.nearest_contact([0.0, *q[1:]]).distance_m, abs=1e-9
         )
-        assert field.clearance(q) == pytest.approx(field.clearance([0.0, *q[1:]]), abs=1e-12)
+        assert field.spare_clearance(q) == pytest.approx(field.spare_clearance([0.0, *q[1:]]), abs=1e-12)
     result = plan(robot, scene_of((-100.0, 5.0, 0.0, 0.0), (100.0, 5.0, 80.0, 10.0)))
     assert result.certificate.verified
     bodies = Bodies(robot)

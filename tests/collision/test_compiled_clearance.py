@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from hplan.base.arrays import FloatArray
 from hplan.collision.coal_shapes import beyond_geometry, solid_shape
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
-from hplan.collision.compiled_clearance import FAR, body_slopes
+from hplan.collision.compiled_clearance import body_slopes
 from hplan.collision.compiled_field import ClearanceField
 from hplan.collision.compiled_motions import piece_is_clear, segment_is_clear
 from hplan.collision.compiled_placements import PLACED, place_bodies
+from hplan.collision.distance_checker import FAR
 from hplan.collision.motion_coefficients import is_moved
 from hplan.collision.self_pairs import self_pairs
 from hplan.geometry.cloud import Cloud
@@ -145,20 +146,20 @@ def test_motions_shown_clear_are_clear(arm: Robot, solids: list[Solid], seed: in
     start = generator.uniform(arm.lower, arm.upper)
     ends = start + generator.uniform(-0.4, 0.4, (3, arm.dof))
     along = start + np.linspace(0.0, 1.0, 40)[:, None] * (ends[2] - start)
-    least = field.clearance_along(along).min()
+    least = field.spare_clearances(along).min()
     shown = bool(segment_is_clear(start, ends[2], field.arrays, 1e-3))
     assert shown == field.is_clear([start, ends[2]], 1e-3)
     assert not shown or least > 5e-4
     assert shown or least < 2e-3
     for margin in (1e-3, 0.05):
-        clear = field.clearance(start)
+        clear = field.spare_clearance(start)
         stays = bool(segment_is_clear(start, start, field.arrays, margin))
         assert stays == (clear >= margin) or abs(clear - margin) < 0.03 * margin
         assert segment_is_clear(start, ends[2], field.arrays, margin) or least < 2.0 * margin
     piece = np.stack([start, *ends])
     t = np.linspace(0.0, 1.0, 40)[:, None]
     curve = (1 - t) ** 3 * piece[0] + 3 * (1 - t) ** 2 * t * piece[1] + 3 * (1 - t) * t**2 * piece[2] + t**3 * piece[3]
-    assert not piece_is_clear(piece, field.arrays, 1e-3, 0.0) or field.clearance_along(curve).min() > 5e-4
+    assert not piece_is_clear(piece, field.arrays, 1e-3, 0.0) or field.spare_clearances(curve).min() > 5e-4
 
 
 def test_distant_obstacles_are_left_out(arm: Robot, solids: list[Solid]) -> None:

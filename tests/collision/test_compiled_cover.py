@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from hplan.base.arrays import FloatArray
 from hplan.collision.collision_bodies import collision_bodies
-from hplan.collision.compiled_clearance import FAR
 from hplan.collision.compiled_cover import moving_arm, part_shown_clear
 from hplan.collision.compiled_field import ClearanceField
 from hplan.collision.compiled_placements import place_joints
 from hplan.collision.compiled_twists import MOVING, TWIST, find_twists, motion_bends
+from hplan.collision.distance_checker import FAR
 from hplan.collision.self_pairs import self_pairs
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.sweep import Sweep, used_up

@@ -12,8 +12,9 @@ from fitted_arms import fitted
 
 from hplan.collision import compiled_obstacles
 from hplan.collision.coal_scene import CoalScene
-from hplan.collision.compiled_clearance import FAR, body_clearances
+from hplan.collision.compiled_clearance import body_clearances
 from hplan.collision.compiled_field import ClearanceField
+from hplan.collision.distance_checker import FAR
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.hull import hull_of
 from hplan.planar.family_reader import family_of
@@ -40,7 +41,7 @@ def assert_clearances_match(robot, obstacles, configurations):
         apart = expected > TOUCH
         np.testing.assert_allclose(found[apart], expected[apart], atol=1e-6, rtol=0)
         assert (found[~apart] <= 2 * TOUCH).all()
-        assert field.clearance(q) == min(found.min(), FAR)
+        assert field.spare_clearance(q) == min(found.min(), FAR)
         contacts += int((~apart).sum())
     return contacts
 
@@ -165,7 +166,7 @@ def test_only_some_of_the_solids(robot):
         assert set(some.owner.tolist()) == set(np.flatnonzero(kept).tolist())
         for q in rng.uniform(robot.lower, robot.upper, (15, 4)):
             np.testing.assert_array_equal(some.link_clearances(q, ALL), made.link_clearances(q, ALL))
-    assert field.select(np.zeros(len(solids), dtype=bool)).clearance(np.zeros(4)) == FAR
+    assert field.select(np.zeros(len(solids), dtype=bool)).spare_clearance(np.zeros(4)) == FAR
     np.testing.assert_array_equal(field.select(np.ones(len(solids), dtype=bool)).solids, field.solids)
     assert not some.solids.flags.writeable
 
@@ -185,7 +186,7 @@ def test_ignored_solids_do_not_count_for_last_link(robot):
             np.testing.assert_array_equal(near[expected < 0.1], expected[expected < 0.1])
         np.testing.assert_array_equal(field.ignoring_last_link(np.zeros(len(solids), dtype=bool)).solids, field.solids)
     nothing = ClearanceField.build(robot, [])
-    assert nothing.ignoring_last_link(np.zeros(0, dtype=bool)).clearance(np.zeros(4)) == FAR
+    assert nothing.ignoring_last_link(np.zeros(0, dtype=bool)).spare_clearance(np.zeros(4)) == FAR
 
 
 def test_near_a_motion_the_field_is_the_whole_one(robot):
@@ -261,8 +262,8 @@ def random_motions(robot, rng, count):
         for _ in range(20):
             start = rng.uniform(robot.lower, robot.upper)
             end = np.clip(start + rng.uniform(-0.5, 0.5, robot.dof), robot.lower, robot.upper)
-            near = field.clearance(0.5 * (start + end))
-            if -0.05 < near < 0.2 and field.clearance(start) > 0.0:
+            near = field.spare_clearance(0.5 * (start + end))
+            if -0.05 < near < 0.2 and field.spare_clearance(start) > 0.0:
                 found += 1
                 yield field, checker, start, end
 

@@ -121,7 +121,10 @@ def test_no_piece_in_contact_is_accepted_and_few_others_refused(robot):
         checker, field = CoalScene(robot, obstacles), ClearanceField.build(robot, obstacles)
         for _ in range(20):
             piece = rng.uniform(robot.lower, robot.upper) + np.cumsum(rng.uniform(-0.2, 0.2, (4, 4)), axis=0)
-            if field.clearance(piece[0]) <= 0.0 or not -0.05 < field.clearance(bezier(piece, [0.5])[0]) < 0.2:
+            if (
+                field.spare_clearance(piece[0]) <= 0.0
+                or not -0.05 < field.spare_clearance(bezier(piece, [0.5])[0]) < 0.2
+            ):
                 continue
             arrays = field.arrays
             least = min(checker.distances(q).min() for q in bezier(piece, np.linspace(0.0, 1.0, 200)))

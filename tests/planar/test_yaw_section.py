@@ -13,7 +13,7 @@ from pages import animation_of, commands_of, objects, orchard, steady_motion
 from hplan.apps.cli.main import main
 from hplan.apps.view.playback import Playback
 from hplan.collision.coal_scene import CoalScene
-from hplan.collision.compiled_clearance import FAR
+from hplan.collision.distance_checker import FAR
 from hplan.errors import InputError
 from hplan.planar.pages.cspace_page import render_cspace_page
 from hplan.planar.pages.yaw_section import YawSection, yaw_section

@@ -242,7 +242,7 @@ def test_parts_that_only_tracking_errors_bring_together(tmp_path):
     scene = task(START, (0.0, 15.0, 50.0, 20.0), [item])
     motion = plan(robot, without_moving(scene), PlanOptions(effort="quick")).trajectory
     exact, off = (
-        ClearanceField.build(robot, [], deviation=error).clearance(motion.position[0]) for error in (0.0, 0.2)
+        ClearanceField.build(robot, [], deviation=error).spare_clearance(motion.position[0]) for error in (0.0, 0.2)
     )
     assert exact > 0.0 > off
     field = MovingField(robot, scene, sigmas=3.0, tracking_error=0.2)

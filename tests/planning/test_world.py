@@ -13,10 +13,9 @@ from arm_variants import from_obstacles, random_obstacles
 from planned import post, problem_between
 
 from hplan.base.arrays import FloatArray
-from hplan.certificate.motion_bound import pair_sways
 from hplan.collision.coal_scene import CoalScene, base_contacts
-from hplan.collision.compiled_clearance import FAR
 from hplan.collision.compiled_field import ClearanceField
+from hplan.collision.distance_checker import FAR
 from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.planar.family_reader import family_of, with_planar_arm
 from hplan.planar.grid.sections import sections_at
@@ -82,11 +81,13 @@ def test_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
         # minimal.
         least = world.clearance + float(family_of(bendy).sway(0.001)[0])
         for q in rng.uniform(bendy.lower, bendy.upper, (60, bendy.dof)):
-            before, after = plain.clearance(q), world.field.clearance(q)
+            before, after = plain.spare_clearance(q), world.field.spare_clearance(q)
             if before < 0.5:
                 seen += 1
                 assert after < before
-                low, high = (ClearanceField.build(bendy, [], own_clearance=own).clearance(q) for own in (most, least))
+                low, high = (
+                    ClearanceField.build(bendy, [], own_clearance=own).spare_clearance(q) for own in (most, least)
+                )
                 assert low - 1e-12 <= after <= high + 1e-12
         assert prepare_world(world, 0.002).own_clearance == 0.032
         sections = sections_at(bendy, prepare_world(world, 0.002), 0.0)
@@ -111,7 +112,7 @@ def test_each_link_sways_by_its_own(robot: Robot) -> None:
         np.testing.assert_allclose(
             left, whole - family_of(robot).sway(error), atol=2e-3 * family_of(robot).sway(error).max()
         )
-        own = world.checker.pair_distances(q) - pair_sways(world.checker, np.full((1, 4), error))[:, 0]
+        own = world.checker.pair_distances(q) - world.checker.pair_sways(np.full((1, 4), error))[:, 0]
         least = min(left.min(), own[-len(world.checker.parts.own) :].min())
         if least > 0.0:
             assert world.check_clear(q, "here") == pytest.approx(least, abs=1e-6)

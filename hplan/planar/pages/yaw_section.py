@@ -15,6 +15,7 @@ import numpy as np
 from hplan.apps.view.framing import view_axes
 from hplan.apps.view.playback import Playback
 from hplan.base.arrays import FloatArray, frozen
+from hplan.collision.distance_checker import DistanceChecker
 from hplan.errors import InputError, OptionError
 from hplan.geometry.polyline import stations
 from hplan.planar.family_reader import family_of
@@ -118,7 +119,7 @@ def yaw_section(
     return YawSection(
         yaw=at,
         grid=grid,
-        field=_field(robot, world, grid, at),
+        field=_field(robot, world.field, grid, at),
         path=frozen(np.ascontiguousarray(path[:, planar])),
         yaw_distance=frozen(np.abs(path[:, 0] - at) if family.has_yaw else np.zeros(len(path))),
         times=frozen(np.interp(evenly, along[moving], times[moving])),
@@ -154,12 +155,10 @@ def _grid(robot: Robot) -> Grid:
     return Grid.from_limits(family.arm.lower, family.arm.upper, step)
 
 
-def _field(robot: Robot, world: World, grid: Grid, yaw: float) -> FloatArray:
-    """Clearance at the grid's nodes, capped at 1e3 m."""
-    q, planar = np.full(robot.dof, yaw), family_of(robot).arm_slice
-    field = np.empty(grid.size)
-    for number, index in enumerate(np.ndindex(*grid.shape)):
-        q[planar] = grid.coordinates(index)
-        field[number] = world.field.clearance(q)
+def _field(robot: Robot, checker: DistanceChecker, grid: Grid, yaw: float) -> FloatArray:
+    """Spare clearance at the grid's nodes, capped at 1e3 m."""
+    q = np.full((grid.size, robot.dof), yaw)
+    q[:, family_of(robot).arm_slice] = grid.coordinates(np.stack(list(np.ndindex(*grid.shape))))
+    field = checker.spare_clearances(q)
     # Interpolating the surface needs finite values, and clearance is infinite without obstacles.
     return frozen(np.minimum(field, 1e3).reshape(grid.shape))

@@ -120,7 +120,7 @@ class _KindCounts:
         counts["spare"] += int(spare.sum())
         counts["lost"] += int((occupied & spare).sum())
         field = ClearanceField.build(robot, scene.solids, clearance=scene.clearance)
-        clear = np.array([field.clearance(configuration) for configuration in every])
+        clear = field.spare_clearances(every)
         counts["differing"] += self._count(number, "distances", checker, every[colliding & (clear > 0.0)], free=True)
         counts["differing"] += self._count(number, "contact", checker, every[~colliding & ~(clear > 0.0)], free=False)
         self._widest_m = max(self._widest_m, float(clear[occupied & ~colliding].max(initial=0.0)))
@@ -184,7 +184,6 @@ class CoalWithShapes:
     """Contacts by coal with the solids of a scene, the triangles of its meshes, and all points of its clouds."""
 
     def __init__(self, robot: Robot, scene: Scene) -> None:
-        self._clearance = scene.clearance
         self._solids = CoalScene(robot, scene.solids, clearance=scene.clearance)
         clouds = [
             Cloud(obstacle.name, obstacle.points, obstacle.radius, np.zeros((0, 7)))
@@ -193,35 +192,36 @@ class CoalWithShapes:
         ]
         self._points = CoalScene(robot, clouds, clearance=scene.clearance) if clouds else None
         surfaces = [obstacle.surface for obstacle in scene.obstacles if isinstance(obstacle, Mesh)]
-        self._surfaces = _Surfaces(self._solids, surfaces) if surfaces else None
+        self._surfaces = _Surfaces(self._solids, surfaces, scene.clearance) if surfaces else None
 
     def collides(self, q: FloatArray, beyond: float) -> BoolArray:
         """(n,) whether each of (n, dof) configurations is closer than the clearance plus `beyond` [m]."""
-        margin = self._clearance + beyond
-        found = self._solids.in_collision(q, margin=margin)
+        found = self._solids.in_collision(q, margin=beyond)
         for others in (self._points, self._surfaces):
             if others is not None:
-                found[~found] = others.in_collision(q[~found], margin=margin)
+                found[~found] = others.in_collision(q[~found], margin=beyond)
         return found
 
     def distance(self, q: FloatArray) -> float:
         """Signed distance from the nearest solid minus the clearance [m]."""
-        return float(self._solids.distances(q).min() - self._clearance)
+        return self._solids.spare_clearance(q)
 
 
 class _Surfaces:
     """The links and triangles; coal finds only intersections of triangles, which have no inside."""
 
-    def __init__(self, links: CoalScene, surfaces: Sequence[tuple[FloatArray, Any]]) -> None:
+    def __init__(self, links: CoalScene, surfaces: Sequence[tuple[FloatArray, Any]], clearance: float) -> None:
         trees = [
             pin.GeometryObject(f"surface:{index}", 0, pin.SE3.Identity(), triangle_tree(*surface))
             for index, surface in enumerate(surfaces)
         ]
+        self._clearance = clearance
         self._geometry = GeometryPairs(links.robot.model, links.link_shapes, trees)
 
     def in_collision(self, q: FloatArray, *, margin: float) -> BoolArray:
-        """(n,) whether each of (n, dof) configurations is closer to a triangle than the margin, if positive [m]."""
-        return self._geometry.in_collision(q, np.full(self._geometry.count, max(0.0, margin)))
+        """(n,) whether each of (n, dof) configurations is closer to a triangle than clearance plus margin [m]."""
+        kept = max(0.0, self._clearance + margin)
+        return self._geometry.in_collision(q, np.full(self._geometry.count, kept))
 
 
 def _row(config: StudyConfig, kind: str) -> Row:

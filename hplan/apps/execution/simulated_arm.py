@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -14,6 +14,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from hplan.apps.execution.bending_wood import BendingTrees, WoodBodies
+from hplan.apps.execution.tree_response import TreeMonitor
 from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray, IntArray, numbers
 from hplan.base.checked import NotNegative, Options, Positive
@@ -24,6 +26,7 @@ from hplan.geometry.cloud import Cloud
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
+from hplan.scene.wood import Wood, limbs_of
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,15 @@ def import_mujoco() -> ModuleType:
     return module
 
 
-def mujoco_model(mujoco: ModuleType, robot: Robot, scene: Scene, *, timestep_s: float) -> tuple[Any, dict[int, str]]:
+def mujoco_model(
+    mujoco: ModuleType,
+    robot: Robot,
+    scene: Scene,
+    *,
+    timestep_s: float,
+    trees: BendingTrees | None = None,
+    bending: Collection[str] | None = None,
+) -> tuple[Any, dict[int, str], WoodBodies | None]:
     """Build the MuJoCo model of the arm, with motors, among the obstacles.
 
     Args:
@@ -68,9 +79,12 @@ def mujoco_model(mujoco: ModuleType, robot: Robot, scene: Scene, *, timestep_s: 
         robot: The arm; MuJoCo reads its URDF. Each joint gets a motor limited to the joint's torque limit.
         scene: The obstacles.
         timestep_s: Step of the simulation [s].
+        trees: Properties of limbs that bend and fruit that hang; None for rigid ones.
+        bending: Names of the limbs that bend, and of the fruit that hang; None for all.
 
     Returns:
-        The compiled `MjModel`, and the obstacle's name by the number of each of its geometries.
+        The compiled `MjModel`, the obstacle's name by the number of each of its geometries, and the bodies of limbs and
+        fruit, if they bend.
 
     Raises:
         InputError: A cloud has more than 2,000 balls.
@@ -86,8 +100,10 @@ def mujoco_model(mujoco: ModuleType, robot: Robot, scene: Scene, *, timestep_s: 
         mesh.file = _mesh_file(mesh.file, robot.urdf_path.parent)
     spec.option.timestep = timestep_s
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    # Limbs that bend have no permitted depth.
+    solids = (scene if trees is None else scene.copy_unchecked({"wood": None})).solids
     depths = maximum_deflection(
-        robot, scene.solids, scene.yield_links, () if scene.goal_fruit is None else scene.goal_fruit.hangs_from
+        robot, solids, scene.yield_links, () if scene.goal_fruit is None else scene.goal_fruit.hangs_from
     )
     pushing = () if depths is None else pushing_links(robot, scene.yield_links)
     for geom in spec.geoms:
@@ -99,11 +115,17 @@ def mujoco_model(mujoco: ModuleType, robot: Robot, scene: Scene, *, timestep_s: 
         motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)  # a motor, of gain 1
         motor.ctrllimited, motor.ctrlrange = True, [-limit, limit]
     names = {}
-    for number, obstacle in enumerate(scene.solids):
+    wood = None if trees is None else _add_wood(mujoco, spec, scene, trees, bending)
+    bent = set() if wood is None else set(wood.obstacle_of.values())
+    for number, obstacle in enumerate(solids):
+        if obstacle.name in bent:
+            continue
         # A compliant obstacle resists a link that may push it only from the permitted depth on: MuJoCo applies forces
         # at distances below the margin, and reports contacts at distances below margin + gap, which is 0 here.
         yields = 0.0 if depths is None else float(depths[number])
-        sides = ((_FIRM | _PUSHES, 0.0),) if yields == 0.0 else ((_FIRM, 0.0), (_PUSHES, yields))
+        sides = [(_FIRM, 0.0), (_PUSHES, yields)] if yields > 0.0 else [(_FIRM | _PUSHES, 0.0)]
+        if obstacle.meets != "all":  # a limb has solids of its own for the links that may push it, and for the others
+            sides = [(_FIRM, 0.0)] if obstacle.meets == "others" else [(_PUSHES, yields)]
         for part, (shape, (meets, gap)) in enumerate(product(_shapes(mujoco, spec, obstacle, number), sides)):
             label = f"obstacle:{number}:{part}"
             names[label] = obstacle.name
@@ -112,7 +134,22 @@ def mujoco_model(mujoco: ModuleType, robot: Robot, scene: Scene, *, timestep_s: 
         model = spec.compile()
     except ValueError as error:
         raise RobotFileError(robot.urdf_path, f"MuJoCo refuses it: {error}") from error
-    return model, {model.geom(label).id: name for label, name in names.items()}
+    names |= {} if wood is None else wood.obstacle_of
+    return model, {model.geom(label).id: name for label, name in names.items()}, wood
+
+
+def _add_wood(
+    mujoco: ModuleType, spec: Any, scene: Scene, trees: BendingTrees, bending: Collection[str] | None
+) -> WoodBodies:
+    """Add limbs and fruit; the goal fruit hangs on its limb, but touches nothing."""
+    limbs = limbs_of(scene.obstacles, scene.wood or Wood())
+    if bending is None:
+        bending = {*limbs.names, *(fruit.name for fruit in scene.fruits)}
+    goal = scene.goal_fruit
+    wood = WoodBodies(mujoco, spec, limbs, scene.wood or Wood(), trees, meets=_FIRM | _PUSHES)
+    wood.add_limbs(bending)
+    wood.add_fruits(scene.fruits, bending, without_contact=() if goal is None else (goal.name,))
+    return wood
 
 
 def _mesh_file(name: str, folder: Path) -> str:
@@ -200,20 +237,32 @@ class SimulatedArm:
     Joints are in the robot's order. Torques saturate at the motors' limits. Contacts with obstacles exert forces and
     are recorded. A compliant obstacle exerts forces only beyond its permitted deflection; the obstacles that the
     scene's goal fruit hangs from are compliant at all times. The simulation has no self-collisions and no ground. The
-    arm is at the zero configuration until it is placed.
+    arm is at the zero configuration until it is placed. With `trees`, limbs bend and fruit hang instead
+    (`hplan.apps.execution.bending_wood`); contacts with them are not among `contacts` and `pushes`.
 
     Attributes:
         robot: The arm.
         plant: Deviation of the simulated machine from the controller's model.
+        trees: Measurements of limbs that bend and of fruit that hangs; None if they are rigid.
     """
 
-    def __init__(self, robot: Robot, scene: Scene, plant: Plant | None = None) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        scene: Scene,
+        plant: Plant | None = None,
+        *,
+        trees: BendingTrees | None = None,
+        bending: Collection[str] | None = None,
+    ) -> None:
         """Build the model.
 
         Args:
             robot: The arm; MuJoCo reads its URDF.
             scene: The obstacles. Its goal fruit is left out.
             plant: Deviation of the simulated machine from the controller's model; None for an exact model.
+            trees: Properties of limbs that bend and fruit that hang; None for rigid and yielding obstacles.
+            bending: Names of the limbs that bend, and of the fruit that hang; None for all. Others are rigid.
 
         Raises:
             InputError: MuJoCo is not installed, or a cloud has more than 2,000 balls.
@@ -223,10 +272,15 @@ class SimulatedArm:
         self.robot, self.plant = instance("robot", robot, Robot, "load_robot"), Plant() if plant is None else plant
         self._mujoco = import_mujoco()
         instance("scene", scene, Scene, "load_scene")
-        self._model, self._obstacle_of = mujoco_model(self._mujoco, robot, scene, timestep_s=CONTROL_PERIOD / _SUBSTEPS)
-        self._model.body_mass[:] *= self.plant.mass_factor
-        self._model.body_inertia[:] *= self.plant.mass_factor
+        self._model, self._obstacle_of, wood = mujoco_model(
+            self._mujoco, robot, scene, timestep_s=CONTROL_PERIOD / _SUBSTEPS, trees=trees, bending=bending
+        )
+        factor = np.full(self._model.nbody, self.plant.mass_factor)
+        factor[[self._model.body(name).id for name in (() if wood is None else wood.body_names)]] = 1.0
+        self._model.body_mass[:] *= factor
+        self._model.body_inertia[:] *= factor[:, None]
         self._data = self._mujoco.MjData(self._model)
+        self.trees = None if wood is None else TreeMonitor(self._mujoco, self._model, self._data, wood)
         joints = [self._model.joint(name) for name in robot.joint_names]
         self._q_at = np.array([int(joint.qposadr[0]) for joint in joints])
         self._v_at = np.array([int(joint.dofadr[0]) for joint in joints])
@@ -283,6 +337,8 @@ class SimulatedArm:
     def pass_through(self, names: Sequence[str]) -> None:
         """Disable contacts with obstacles or fruits, for example with a picked fruit.
 
+        Fruit that hangs is taken off its stalk.
+
         Raises:
             InputError: The simulated scene has no obstacle or fruit of that name.
         """
@@ -291,6 +347,8 @@ class SimulatedArm:
             if not geoms:
                 raise InputError(f"the simulated scene has no obstacle {name!r}", name=name)
             self._model.geom_conaffinity[geoms] = 0
+        if self.trees is not None:
+            self.trees.release(names)
 
     def take_away(self, names: Sequence[str]) -> None:
         """Remove obstacles or fruits: contacts and rays ignore them.
@@ -375,14 +433,20 @@ class SimulatedArm:
         return np.where(geoms >= 0, found, np.inf), is_obstacle
 
     def _note_contacts(self) -> None:
-        """Record the first time and the maximum depth of all current contacts."""
+        """Record the first time and the maximum depth of all current contacts; those with wood go to `trees`."""
+        wood: dict[tuple[str, str], list[int]] = {}
         for number in range(self._data.ncon):
             contact = self._data.contact[number]
             geoms = [int(geom) for geom in contact.geom]
             obstacle = next(self._obstacle_of[geom] for geom in geoms if geom in self._obstacle_of)
             other = next(geom for geom in geoms if geom not in self._obstacle_of)
             link = self._model.body(self._model.geom_bodyid[other]).name
+            if self.trees is not None and obstacle in self.trees.measured:
+                wood.setdefault((link, obstacle), []).append(number)
+                continue
             depth = max(0.0, -float(contact.dist))
             yields = max(float(self._model.geom_gap[geom]) for geom in geoms)
             first = self._touched.get((link, obstacle), Touch(float(self._data.time), link, obstacle, 0.0, yields))
             self._touched[link, obstacle] = replace(first, depth_m=max(first.depth_m, depth))
+        if self.trees is not None:
+            self.trees.note(wood)

@@ -23,14 +23,16 @@ MuJoCo comes with the extra `execution`: `pip install 'hplan[execution]'`.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 
+from hplan.apps.execution.bending_wood import BendingTrees
 from hplan.apps.execution.simulated_arm import CONTROL_PERIOD, Plant, SimulatedArm, Touch
+from hplan.apps.execution.tree_response import TreeResponse
 from hplan.base import ties
 from hplan.base.arguments import instance, list_of
 from hplan.base.arrays import FloatArray, Record, numbers, readonly
@@ -40,7 +42,7 @@ from hplan.collision.coal_scene import CoalScene, Contact
 from hplan.errors import InputError, OptionError
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
-from hplan.scene.model import Scene
+from hplan.scene.model import Scene, with_limbs
 from hplan.trajectory.cubics import evaluate, hermite_pieces
 from hplan.trajectory.trajectory import Trajectory, check_units, joints_of_columns
 
@@ -133,6 +135,16 @@ def read_motion(path: Path | str) -> RecordedMotion:
 HOLD = 0.25
 
 
+#: Poses of limbs are recorded once in this number of control periods.
+_RECORD_TICKS = 16
+
+#: Limbs and fruit that come nearer to the arm than this bend and hang [m].
+_NEAR_M = 0.1
+
+#: Maximum distance between configurations at which limbs near the arm are searched [rad, or m if prismatic].
+_SEARCH_STEP = 0.05
+
+
 @dataclass(frozen=True, eq=False)
 class Execution(Record):
     """Result of executing a motion, with joints in the robot's order.
@@ -163,6 +175,8 @@ class Execution(Record):
         position: (k, dof) measured joint positions [rad]; NaN after the simulation diverged.
         reference: (k, dof) reference positions [rad].
         reference_velocity: (k, dof) reference velocities [rad/s].
+        torque: (k, dof) commanded torques [N m].
+        trees: Response of the trees; None if they are rigid.
     """
 
     joint_names: tuple[str, ...]
@@ -183,6 +197,8 @@ class Execution(Record):
     position: FloatArray
     reference: FloatArray
     reference_velocity: FloatArray
+    torque: FloatArray
+    trees: TreeResponse | None = None
 
     def is_within(self, tracking: TrackingModel) -> bool:
         """True if all tracking errors are within a tracking model's bounds."""
@@ -191,8 +207,19 @@ class Execution(Record):
 
     @property
     def ok(self) -> bool:
-        """True if the arm ended at the goal without any of `contacts`."""
-        return not self.contacts and self.ended_at_goal
+        """True if the arm ended at the goal without any of `contacts`, and the trees stayed within their limits."""
+        return not self.contacts and self.ended_at_goal and (self.trees is None or self.trees.ok)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Motion of the simulated arm, as long as it did not diverge; derivatives are central differences."""
+        count = int(np.isfinite(self.position).all(axis=1).sum())
+        time, position = self.time[:count], self.position[:count]
+        velocity = np.gradient(position, time, axis=0) if count > 1 else np.zeros_like(position)
+        acceleration = np.gradient(velocity, time, axis=0) if count > 1 else np.zeros_like(position)
+        return Trajectory(
+            self.joint_names, time, position, velocity, acceleration, self.torque[:count], slides=self.slides
+        )
 
     @property
     def torque_exceeded(self) -> tuple[str, ...]:
@@ -201,7 +228,9 @@ class Execution(Record):
         return tuple(name for name, peak, limit in both if peak > limit)
 
 
-def execute(robot: Robot, scene: Scene, motion: Movement, plant: Plant | None = None) -> Execution:
+def execute(
+    robot: Robot, scene: Scene, motion: Movement, plant: Plant | None = None, trees: BendingTrees | None = None
+) -> Execution:
     """Execute a motion on a simulated arm among a scene's obstacles.
 
     The arm starts at the position and velocity of the motion's first sample. All links take part: a turret that strikes
@@ -212,6 +241,7 @@ def execute(robot: Robot, scene: Scene, motion: Movement, plant: Plant | None = 
         scene: The obstacles, start and goal. The goal fruit is left out.
         motion: The motion; its joints are the robot's, in any order.
         plant: Deviation of the simulated machine from the controller's model; None for an exact model.
+        trees: Properties of limbs that bend and fruit that hang, near the motion; None for rigid and yielding ones.
 
     Raises:
         InputError: MuJoCo is not installed; the motion has other joints than the robot, time that does not increase
@@ -220,6 +250,7 @@ def execute(robot: Robot, scene: Scene, motion: Movement, plant: Plant | None = 
         MovingObstacleError: An obstacle of the scene moves.
         OptionError: An argument of another type.
         RobotFileError: MuJoCo refuses the URDF.
+        SceneError: `trees` is given for a scene without limbs.
     """
     instance("robot", robot, Robot, "load_robot")
     instance("scene", scene, Scene, "load_scene")
@@ -227,7 +258,11 @@ def execute(robot: Robot, scene: Scene, motion: Movement, plant: Plant | None = 
         raise OptionError("motion", motion, "a Trajectory, as from plan, or a Motion, as from read_motion")
     reference = _Reference.build(robot, motion)
     start, goal = (_joints(robot, scene, which, reference.position[-1]) for which in ("start", "goal"))
-    arm = SimulatedArm(robot, scene, plant)
+    if trees is not None:
+        instance("trees", trees, BendingTrees)
+        scene = scene if scene.wood is not None else with_limbs(scene)
+    near = None if trees is None else _find_near(robot, scene, reference)
+    arm = SimulatedArm(robot, scene, plant, trees=trees, bending=near)
     return _track_reference(arm, reference, scene, start, reference.position[-1] if goal is None else goal)
 
 
@@ -295,10 +330,16 @@ def _track_reference(
     arm.place(q_ref[0], v_ref[0])
     position = np.full_like(q_ref, np.nan)
     torque = np.zeros_like(q_ref)
+    displacement: dict[str, float] = {}
     for k in range(len(clock)):
         if not arm.is_finite:
             break
         position[k] = arm.position
+        if arm.trees is not None:
+            if k % _RECORD_TICKS == 0:
+                arm.trees.record()
+            if clock[k] <= duration + 1e-9:
+                displacement = arm.trees.fruit_displacement_m()
         if k == ticks:
             break
         if plant.decoupled:
@@ -327,12 +368,26 @@ def _track_reference(
         peak_torque_nm=tuple(np.abs(torque).max(axis=0).tolist()),
         torque_limit_nm=tuple(limit.tolist()),
         saturated_s=float((np.abs(torque) > limit).any(axis=1).sum() * CONTROL_PERIOD),
-        nearest=_nearest_contact(robot, scene, position),
+        nearest=_nearest_contact(robot, scene, position, set() if arm.trees is None else arm.trees.measured),
         time=readonly(clock),
         position=readonly(position),
         reference=readonly(q_ref),
         reference_velocity=readonly(v_ref),
+        torque=readonly(torque),
+        trees=None if arm.trees is None else arm.trees.response(displacement),
     )
+
+
+def _find_near(robot: Robot, scene: Scene, reference: _Reference) -> set[str]:
+    """Names of the obstacles and fruit near the arm along a motion."""
+    steps = np.abs(np.diff(reference.position, axis=0)).max(axis=1, initial=0.0)
+    stations = np.append(0.0, np.cumsum(steps))
+    at = np.linspace(0.0, stations[-1], 2 + int(stations[-1] / _SEARCH_STEP))
+    rows = np.unique(np.searchsorted(stations, at).clip(0, len(stations) - 1))
+    checker = CoalScene(robot, scene.copy_unchecked({"wood": None}).solids_with_goal)
+    solids = slice(0, checker.own_first)
+    gaps = np.min([checker.distances(q)[:, solids].min(axis=0) for q in reference.position[rows]], axis=0)
+    return {name for name, gap in zip(checker.obstacle_names[solids], gaps.tolist(), strict=True) if gap < _NEAR_M}
 
 
 def _gains(arm: SimulatedArm, q: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -357,11 +412,12 @@ def _joints(robot: Robot, scene: Scene, which: str, end: FloatArray) -> FloatArr
     return robot.check_configuration(robot.turned_near(joints, end) if which == "goal" else joints, which)
 
 
-def _nearest_contact(robot: Robot, scene: Scene, position: FloatArray) -> Contact | None:
+def _nearest_contact(robot: Robot, scene: Scene, position: FloatArray, left_out: Collection[str]) -> Contact | None:
     """Contact at the minimum distance over all finite configurations.
 
-    None without obstacles.
+    None without obstacles other than those left out.
     """
-    checker = CoalScene(robot, scene.solids, yield_links=scene.yield_links)
+    solids = [solid for solid in scene.solids if solid.name not in left_out]
+    checker = CoalScene(robot, solids, yield_links=scene.yield_links)
     found = [contact for q in position if np.isfinite(q).all() and (contact := checker.nearest_contact(q)) is not None]
     return found[ties.argmin([contact.distance_m for contact in found])] if found else None

@@ -14,6 +14,7 @@ from hplan.robot.model import Robot
 from hplan.trajectory.trajectory import Phase, Trajectory
 
 if TYPE_CHECKING:
+    from hplan.apps.view.body_motions import BodyMotions
     from hplan.certificate.certificate import Certificate
     from hplan.certificate.clearance_curve import ClearanceCurve
     from hplan.certificate.retimed_certificate import CertifiedMotion
@@ -45,6 +46,7 @@ class Playback:
         frames: For several arms, the tool frame of each arm, by name.
         pickers: For several arms, the name of the arm that picks each fruit.
         unpicked: Reason of each fruit that a tour does not pick (`hplan.planning.failures.Reason`), by name.
+        bodies: Motions of limbs and fruit, as of `hplan.apps.execution.simulation.execute`; None for a tree at rest.
     """
 
     trajectory: Trajectory
@@ -58,6 +60,7 @@ class Playback:
     frames: Mapping[str, str] = field(default_factory=dict)
     pickers: Mapping[str, str] = field(default_factory=dict)
     unpicked: Mapping[str, str] = field(default_factory=dict)
+    bodies: BodyMotions | None = None
 
     def __post_init__(self) -> None:
         instance("trajectory", self.trajectory, Trajectory, "plan or read_csv")

@@ -80,7 +80,8 @@ def build_stage(robot: Robot, scene: Scene, playback: Playback) -> list[Json]:
         # The viewer's camera can only circle the world's origin, so the world is moved there.
         set_transform(ROOT, three.transform(position=-view.target)),
         set_object(f"{ROOT}/ground", framing.ground(view, floor)),
-        *scenery.obstacles(scene),
+        *scenery.obstacles(scene, frozenset() if playback.bodies is None else playback.bodies.limb_names),
+        *scenery.moving_limbs(playback),
         *scenery.fruits(scene, scene.goal.fruit if len(picks) < 2 else None, playback.unpicked),
         *scenery.placed_movers(scene, playback.begin_s),
         *_draw_robot(robot, trajectory.position[0], "arm"),
@@ -193,6 +194,7 @@ def _animation(robot: Robot, scene: Scene, playback: Playback, picks: Sequence[s
         if joint > 0
     ]
     clips += scenery.moving_clips(scene, times, playback.begin_s, end)
+    clips += scenery.tree_clips(playback, end)
     tools = {tool: robot.forward_kinematics(configurations, tool)[:, :3, 3] for tool in {pick.tool for pick in picks}}
     return animation([*clips, *scenery.picked_clips(picks, times, tools, end)])
 

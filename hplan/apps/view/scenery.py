@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final
@@ -18,6 +18,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from hplan.apps.view import body_motions
 from hplan.apps.view import three_js as three
 from hplan.apps.view.commands import (
     ROOT,
@@ -99,8 +100,8 @@ def looks(scene: Scene) -> list[Appearance]:
     return list(dict.fromkeys(look_of(item.name) for item in scene.obstacles))
 
 
-def obstacles(scene: Scene) -> list[Json]:
-    """Commands that draw the obstacles at their listed poses.
+def obstacles(scene: Scene, left_out: Collection[str] = ()) -> list[Json]:
+    """Commands that draw the obstacles at their listed poses, except for some capsules.
 
     Capsules are grouped by appearance; all other obstacles are separate objects.
     """
@@ -108,7 +109,8 @@ def obstacles(scene: Scene) -> list[Json]:
     for item in scene.obstacles:
         look, top = look_of(item.name), movers.get(item.name, f"{ROOT}/obstacles")
         if isinstance(item, Capsule):
-            capsules[top, look].append(item)
+            if item.name not in left_out:
+                capsules[top, look].append(item)
         else:
             body = Body()
             _add_node(body, item, look)
@@ -120,6 +122,21 @@ def obstacles(scene: Scene) -> list[Json]:
         three.add_capsules(body, starts, ends, radii, _surface(look), name=look.label)
         commands.append(set_object(f"{top}/{look.label}", body))
     return commands
+
+
+def moving_limbs(playback: Playback) -> list[Json]:
+    """Commands that draw the limbs that move in a playback."""
+    return [] if playback.bodies is None else body_motions.moving_limbs(playback.bodies, _surface(WOOD))
+
+
+def tree_clips(playback: Playback, end: float) -> list[Json]:
+    """Animation of limbs and fruit that move in a playback, up to the end of the animation [s]."""
+    bodies, duration = playback.bodies, playback.trajectory.duration
+    if bodies is None:
+        return []
+    tracks = body_motions.fruit_tracks(bodies, duration, end)
+    fruits = [clip(_fruit_path(name), track) for name, track in tracks.items()]
+    return body_motions.limb_clips(bodies, duration, end) + fruits
 
 
 def moving_nodes(scene: Scene) -> dict[str, str]:
@@ -205,14 +222,14 @@ def fruits(scene: Scene, goal: str | None, unpicked: Mapping[str, str] = Mapping
     """
     commands, movers = [], moving_nodes(scene)
     for fruit in scene.fruits:
-        path = f"{movers[fruit.name]}/{node('fruit', fruit.name)}" if fruit.name in movers else _fruit_path(fruit)
+        path = f"{movers[fruit.name]}/{node('fruit', fruit.name)}" if fruit.name in movers else _fruit_path(fruit.name)
         commands.append(set_object(path, _fruit(fruit, unpicked.get(fruit.name), is_goal=fruit.name == goal)))
         commands.append(set_transform(path, three.transform(position=fruit.center)))
     return commands
 
 
-def _fruit_path(fruit: Fruit) -> str:
-    return f"{ROOT}/fruits/{node('fruit', fruit.name)}"
+def _fruit_path(name: str) -> str:
+    return f"{ROOT}/fruits/{node('fruit', name)}"
 
 
 def _fruit(fruit: Fruit, reason: str | None, *, is_goal: bool) -> Body:
@@ -313,7 +330,7 @@ def picked_clips(
         at, taken = (np.column_stack([np.interp(t, times, axis) for axis in tool]) for t in (stations, [pick.since]))
         path = np.array(pick.fruit.center) + np.where(stations[:, None] > pick.since, at - taken, 0.0)
         clips += [
-            clip(_fruit_path(pick.fruit), visibility_track(0.0, pick.since, end)),
+            clip(_fruit_path(pick.fruit.name), visibility_track(0.0, pick.since, end)),
             clip(
                 _picked_path("picked", pick),
                 visibility_track(pick.since, pick.until, end),

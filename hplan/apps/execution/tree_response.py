@@ -1,0 +1,336 @@
+"""Response of simulated trees: forces, stresses, deflections, breakage, fruit knocked off."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from hplan.apps.execution.bending_wood import GAUSS_POINT, WoodBodies
+from hplan.apps.view.body_motions import BodyMotion, BodyMotions
+from hplan.base.arrays import FloatArray, Record, readonly
+from hplan.scene.wood import GRAVITY, Wood
+
+#: Extrapolation of the moments at an element's two joints to its start.
+_TO_START = GAUSS_POINT / (1.0 - 2.0 * GAUSS_POINT)
+
+#: Stresses and stalks are watched for this time after a contact [s].
+_SETTLES_S = 1.0
+
+
+@dataclass(frozen=True)
+class LimbContact:
+    """Contact of a link with a limb or a hung fruit in a simulation.
+
+    Attributes:
+        limb: Name of the limb or fruit.
+        link: Name of the link in the URDF.
+        begin_s: Time of the first contact [s].
+        end_s: Time of the last contact [s].
+        force_s: Time of the largest force [s].
+        force_n: Largest sum of the normal forces [N].
+        stress_mpa: Largest bending stress between the clamp and the limb's end, during contact [MPa]; 0 for fruit.
+        deflection_m: Largest displacement of the limb at the contact [m].
+        is_fruit: True for a fruit.
+    """
+
+    limb: str
+    link: str
+    begin_s: float
+    end_s: float
+    force_s: float
+    force_n: float
+    stress_mpa: float
+    deflection_m: float
+    is_fruit: bool = False
+
+    def is_within(self, wood: Wood) -> bool:
+        """True if force and stress are within the limits."""
+        limit = wood.fruit_force if self.is_fruit else wood.contact_force
+        return self.force_n <= limit and self.stress_mpa <= wood.wood_stress_mpa
+
+
+@dataclass(frozen=True)
+class Damage:
+    """A limb that broke, or a fruit that was knocked off.
+
+    Attributes:
+        name: Name of the limb or fruit.
+        time_s: Time when its load first exceeded its strength [s].
+        load: Bending stress of the limb [MPa], or force on the stalk [N], at that time.
+    """
+
+    name: str
+    time_s: float
+    load: float
+
+
+@dataclass(frozen=True, eq=False)
+class TreeResponse(Record):
+    """Response of the trees to a motion.
+
+    Attributes:
+        wood: Limits of force and stress.
+        contacts: Contacts with limbs and hung fruit, in order of first touch.
+        broken: Limbs that broke.
+        knocked_off: Fruit that was knocked off.
+        fruit_displacement_m: Displacement of each hung fruit at the end [m], by name.
+        motions: Motions of limbs and fruit.
+    """
+
+    wood: Wood
+    contacts: tuple[LimbContact, ...]
+    broken: tuple[Damage, ...]
+    knocked_off: tuple[Damage, ...]
+    fruit_displacement_m: Mapping[str, float]
+    motions: BodyMotions
+
+    @property
+    def ok(self) -> bool:
+        """True if no limit was exceeded, no limb broke and no fruit was knocked off."""
+        return not self.broken and not self.knocked_off and all(one.is_within(self.wood) for one in self.contacts)
+
+
+class TreeMonitor:
+    """Measures limbs and fruit during a simulation.
+
+    Attributes:
+        bodies: The bodies of limbs and fruit.
+        measured: Names of the fruit that hangs, and of the limbs that bend or are carried.
+        max_stress_pa: (n,) largest bending stress of each limb [Pa].
+    """
+
+    def __init__(self, mujoco: ModuleType, model: Any, data: Any, bodies: WoodBodies) -> None:
+        """Finish the model of the trees, at rest.
+
+        Args:
+            mujoco: The module.
+            model: The compiled `MjModel`.
+            data: Its `MjData`.
+            bodies: The bodies in the model.
+        """
+        bodies.finish(model, data)
+        self.bodies = bodies
+        self._mujoco, self._model, self._data = mujoco, model, data
+        joints = bodies.joint_numbers(model)
+        #: Addresses of the joints' angles in bending.
+        self._q_at = np.array(model.jnt_qposadr[joints[:, :2]], dtype=np.int64)
+        self._stiffness = np.array(bodies.joints.stiffness)
+        self._segment = np.array(bodies.joints.segment, dtype=np.int64)
+        self._body_ids = np.array([model.body(name).id for name in bodies.body_names], dtype=np.int64)
+        names = [fruit.name for fruit in bodies.fruits]
+        self._fruit_ids = self._body_ids[len(joints) :]
+        self._fruit_geoms = np.array([model.geom(f"fruit:{name}").id for name in names], dtype=np.int64)
+        self._fruit_rows = {name: row for row, name in enumerate(names)}
+        self._limb_rows = {name: row for row, name in enumerate(bodies.limbs.names)}
+        self.measured = frozenset(bodies.obstacle_of.values())
+        #: Position at rest of the body of each geometry.
+        self._rest_of = {
+            model.geom(name).id: np.array(data.xpos[model.geom(name).bodyid[0]]) for name in bodies.obstacle_of
+        }
+        self.max_stress_pa = np.zeros(len(bodies.limbs.names))
+        self._stress = self.max_stress_pa.copy()
+        self._last_contact_s = -math.inf
+        self._contacts: dict[tuple[str, str], LimbContact] = {}
+        self._broken: dict[str, Damage] = {}
+        self._knocked_off: dict[str, Damage] = {}
+        #: Time, place and velocity of each fruit when it was released.
+        self._released: dict[str, tuple[float, FloatArray, FloatArray]] = {}
+        self._time, self._poses = list[float](), list[tuple[FloatArray, FloatArray, FloatArray]]()
+
+    # Measurements.
+
+    def note(self, contacts: Mapping[tuple[str, str], Sequence[int]]) -> None:
+        """Record forces, deflections, stresses and damage in the current state.
+
+        Args:
+            contacts: Numbers of MuJoCo's contacts with limbs and hung fruit, by link and obstacle.
+        """
+        if contacts:
+            self._last_contact_s = float(self._data.time)
+        elif self._data.time > self._last_contact_s + _SETTLES_S:
+            return
+        self._note_stress()
+        for (link, obstacle), numbers in contacts.items():
+            self._note_contact(link, obstacle, numbers)
+        self._note_stalks()
+
+    def _note_contact(self, link: str, obstacle: str, numbers: Sequence[int]) -> None:
+        model, data, time_s = self._model, self._data, float(self._data.time)
+        force, wrench, deflection = 0.0, np.zeros(6), 0.0
+        for number in numbers:
+            self._mujoco.mj_contactForce(model, data, number, wrench)
+            force += float(wrench[0])
+            contact = data.contact[number]
+            geom = next(int(geom) for geom in contact.geom if int(geom) in self._rest_of)
+            body = int(model.geom_bodyid[geom])
+            local = data.xmat[body].reshape(3, 3).T @ (contact.pos - data.xpos[body])
+            deflection = max(deflection, float(np.linalg.norm(contact.pos - local - self._rest_of[geom])))
+        is_fruit = obstacle not in self._limb_rows
+        path = () if is_fruit else self.bodies.limbs.path(self._limb_rows[obstacle])
+        stress = 1e-6 * max((float(self._stress[row]) for row in path), default=0.0)
+        known = self._contacts.get((link, obstacle))
+        if known is None:
+            known = LimbContact(obstacle, link, time_s, time_s, time_s, 0.0, 0.0, 0.0, is_fruit)
+        self._contacts[link, obstacle] = LimbContact(
+            obstacle,
+            link,
+            begin_s=known.begin_s,
+            end_s=time_s,
+            force_s=time_s if force > known.force_n else known.force_s,
+            force_n=max(force, known.force_n),
+            stress_mpa=max(stress, known.stress_mpa),
+            deflection_m=max(deflection, known.deflection_m),
+            is_fruit=is_fruit,
+        )
+
+    def _note_stress(self) -> None:
+        """Update the bending stress of each segment; record broken ones."""
+        self._stress = self.bending_stress()
+        self.max_stress_pa = np.maximum(self.max_stress_pa, self._stress)
+        for row in np.flatnonzero(self._stress > 1e6 * self.bodies.trees.wood_strength_mpa).tolist():
+            name, stress = self.bodies.limbs.names[row], 1e-6 * float(self._stress[row])
+            self._broken.setdefault(name, Damage(name, float(self._data.time), stress))
+
+    def bending_stress(self) -> FloatArray:
+        """(n,) largest bending stress of each limb in the current state [Pa]."""
+        limbs, found = self.bodies.limbs, np.zeros(len(self.bodies.limbs.names))
+        if len(self._segment):
+            moment = self._stiffness[:, None] * self._data.qpos[self._q_at]
+            first, second = moment[0::2], moment[1::2]
+            at_start = np.linalg.norm(first + _TO_START * (first - second), axis=1)
+            largest = np.maximum(at_start, np.linalg.norm(moment, axis=1).reshape(-1, 2).max(axis=1))
+            radius = limbs.radius[self._segment[0::2]]
+            np.maximum.at(found, self._segment[0::2], 4.0 * largest / (math.pi * radius**3))
+        return found
+
+    def _note_stalks(self) -> None:
+        """Release fruit whose stalk is loaded beyond its strength."""
+        if len(self._released) == len(self._fruit_rows):
+            return
+        self._mujoco.mj_rnePostConstraint(self._model, self._data)
+        forces = np.linalg.norm(self._data.cfrc_int[self._fruit_ids, 3:], axis=1)
+        for row in np.flatnonzero(forces > self.bodies.trees.stalk_strength_n).tolist():
+            name = self.bodies.fruits[row].name
+            if name not in self._released:
+                self._knocked_off[name] = Damage(name, float(self._data.time), float(forces[row]))
+                self.release([name])
+
+    def release(self, names: Collection[str]) -> None:
+        """Take fruit off its stalk: it touches nothing any more, and does not load its limb.
+
+        Names of anything else are ignored.
+        """
+        for name in names:
+            row = self._fruit_rows.get(name)
+            if row is None or name in self._released:
+                continue
+            body, geom, velocity = int(self._fruit_ids[row]), int(self._fruit_geoms[row]), np.zeros(6)
+            kind = self._mujoco.mjtObj.mjOBJ_GEOM
+            self._mujoco.mj_objectVelocity(self._model, self._data, kind, geom, velocity, 0)
+            self._released[name] = float(self._data.time), np.array(self._data.geom_xpos[geom]), velocity[3:]
+            self._model.geom_conaffinity[geom] = 0
+            remaining = 1e-4  # MuJoCo refuses bodies without mass
+            self._model.body_mass[body] *= remaining
+            self._model.body_inertia[body] *= remaining
+
+    # Motions.
+
+    @property
+    def fruit_places(self) -> FloatArray:
+        """(f, 3) centres of the hung fruit [m].
+
+        Released fruit is in free fall, or where it met the ground at the height 0.
+        """
+        found = np.array(self._data.geom_xpos[self._fruit_geoms])
+        for name, (since, place, velocity) in self._released.items():
+            row = self._fruit_rows[name]
+            radius, elapsed = self.bodies.fruits[row].radius, float(self._data.time) - since
+            height, rise = float(place[2]) - radius, float(velocity[2])
+            landing = (rise + math.sqrt(max(rise**2 + 2.0 * GRAVITY * height, 0.0))) / GRAVITY
+            elapsed = min(elapsed, max(landing, 0.0))
+            found[row] = place + elapsed * velocity - [0.0, 0.0, 0.5 * GRAVITY * elapsed**2]
+        return found
+
+    def fruit_displacement_m(self) -> dict[str, float]:
+        """Displacement of each fruit that still hangs, by name [m]."""
+        rest = np.array([fruit.center for fruit in self.bodies.fruits]).reshape(-1, 3)
+        moved = np.linalg.norm(self.fruit_places - rest, axis=1)
+        return {name: float(moved[row]) for name, row in self._fruit_rows.items() if name not in self._released}
+
+    def record(self) -> None:
+        """Append the current poses to the recorded motion."""
+        self._time.append(float(self._data.time))
+        limb_ids = self._body_ids[: len(self._segment)]
+        self._poses.append(
+            (np.array(self._data.xpos[limb_ids]), np.array(self._data.xquat[limb_ids]), self.fruit_places)
+        )
+
+    def response(self, fruit_displacement_m: Mapping[str, float]) -> TreeResponse:
+        """Return everything recorded until now.
+
+        Args:
+            fruit_displacement_m: Displacement of the fruit at the end of the motion [m].
+        """
+        return TreeResponse(
+            wood=self.bodies.wood,
+            contacts=tuple(self._contacts.values()),
+            broken=tuple(self._broken.values()),
+            knocked_off=tuple(self._knocked_off.values()),
+            fruit_displacement_m=dict(fruit_displacement_m),
+            motions=self._motions(),
+        )
+
+    def _motions(self) -> BodyMotions:
+        """Recorded motions of the limbs and fruit that moved visibly; parts of these limbs that did not are at rest."""
+        time = readonly(np.array(self._time))
+        if not self._poses:
+            return BodyMotions(time, (), ())
+        # Bodies that moved less than this are drawn at rest [m].
+        visible = 5e-4
+        position, turn, fruit = (np.stack(parts, axis=1) for parts in zip(*self._poses, strict=True))
+        shapes = self._shapes()
+        origin, upright = np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]])
+        bodies = [BodyMotion(*shapes[0], origin, upright)] if 0 in shapes else []
+        for row, body in enumerate(self._body_ids[: len(self._segment)].tolist()):
+            start, end = shapes[body][1:3]
+            ends = _transform(turn[row], np.concatenate([start, end])) + position[row][:, None]
+            frames = slice(None if np.linalg.norm(ends - ends[0], axis=2).max() > visible else 1)
+            bodies.append(BodyMotion(*shapes[body], position[row][frames], np.roll(turn[row][frames], -1, axis=1)))
+        moved = {name for body in bodies for name in body.names if body.moves}
+        limbs = tuple(part for body in bodies if (part := body.only(moved)).names)
+        still = np.repeat(upright, len(time), axis=0)
+        fruits = tuple(
+            BodyMotion((item.name,), origin, origin, np.array([item.radius]), fruit[row], still)
+            for row, item in enumerate(self.bodies.fruits)
+            if np.linalg.norm(fruit[row] - fruit[row][0], axis=1).max() > visible
+        )
+        return BodyMotions(time, limbs, fruits)
+
+    def _shapes(self) -> dict[int, tuple[tuple[str, ...], FloatArray, FloatArray, FloatArray]]:
+        """Names, ends and radii of the capsules of each body of limbs."""
+        found: dict[int, tuple[list[str], list[FloatArray], list[FloatArray], list[float]]] = {}
+        for name, obstacle in self.bodies.obstacle_of.items():
+            geom = self._model.geom(name)
+            axis = np.zeros(9)
+            self._mujoco.mju_quat2Mat(axis, geom.quat)
+            half = geom.size[1] * axis.reshape(3, 3)[:, 2]
+            parts = found.setdefault(int(geom.bodyid[0]), ([], [], [], []))
+            for part, value in zip(parts, (obstacle, geom.pos - half, geom.pos + half, geom.size[0]), strict=True):
+                part.append(value)  # type: ignore[attr-defined]
+        return {
+            body: (tuple(names), np.array(start), np.array(end), np.array(radius))
+            for body, (names, start, end, radius) in found.items()
+        }
+
+
+def _transform(turns: FloatArray, points: FloatArray) -> FloatArray:
+    """(k, n, 3) points rotated by (k, 4) quaternions w, x, y, z."""
+    vector, scalar = turns[:, None, 1:], turns[:, None, :1]
+    cross = np.cross(vector, points[None])
+    found: FloatArray = points + 2.0 * (scalar * cross + np.cross(vector, cross))
+    return found

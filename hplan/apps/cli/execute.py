@@ -4,22 +4,42 @@ The arm is the robot's own URDF with torque motors; obstacles are solid bodies. 
 trajectory (inverse-dynamics feedforward, PD feedback). Trajectories of any planner are accepted. The simulated masses
 may differ from the controller's model, and its commands may be delayed. Given a tracking error, the command reports
 whether the joints stayed within it.
+
+With --bending, limbs of trees bend and fruit hangs on stalks. The command reports the force, stress and deflection of
+each limb that is touched, limbs that break and fruit that is knocked off; for a plan's folder next to the bounds of its
+certificate.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-from hplan.apps.cli.options import add_shared, command_parser, robot_of, tracking_of
-from hplan.apps.cli.terminal import FAILED, escape, facts_table, number_table
+from hplan.apps.cli.options import add_shared, check_output_file, command_parser, robot_of, tracking_of
+from hplan.apps.cli.terminal import FAILED, escape, facts_table, hand_out, number_table
+from hplan.base.files import is_folder
+from hplan.errors import OptionError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hplan.apps.execution.simulation import Execution
+    from hplan.apps.cli.finished_job import FinishedJob
+    from hplan.apps.execution.bending_wood import BendingTrees
+    from hplan.apps.execution.simulation import Execution, RecordedMotion
+    from hplan.apps.execution.tree_response import TreeResponse
+    from hplan.robot.model import Robot
     from hplan.scene.model import Scene
+
+#: The certificate's bounds of a contact, by limb or fruit and link.
+ContactBounds: TypeAlias = Mapping[tuple[str, str], Mapping[str, Any]]
+
+#: Bounded quantities of a contact.
+_BOUNDS = ("force_n", "stress_mpa")
+
+#: Displacements of fruit above this are reported [m].
+_VISIBLE_M = 1e-3
 
 _EPILOG = """\
 the CSV: one header line with time_s and NAME_pos_rad for each joint of the
@@ -34,35 +54,135 @@ exit status:
   0  no contact, or none deeper than the obstacle's compliance; the arm ended
      at the goal (0.5 deg, 5 mm) and stayed there
   2  bad input
-  5  a deeper contact, or the arm did not end at the goal
+  5  a deeper contact, or the arm did not end at the goal; with --bending also
+     a force or stress above the scene's limits, a broken limb, or fruit that
+     was knocked off
 """
+
+#: Options of `BendingTrees`, with their argument, help and metavar.
+_TREE_OPTIONS = (
+    ("youngs_modulus_gpa", "--youngs-modulus", "Young's modulus of the wood in GPa (default: the scene's largest, "
+        "with which forces are largest)", "GPA"),
+    ("damping_ratio", "--wood-damping", "damping ratio of limbs and hanging fruit (default: 0.07)", "RATIO"),
+    ("wood_strength_mpa", "--wood-strength", "bending stress in MPa at which a limb breaks (default: 40)", "MPA"),
+    ("stalk_strength_n", "--stalk-strength", "force in newtons at which fruit is knocked off (default: 20)", "N"),
+    ("friction", "--friction", "coefficient of friction between the arm and limbs or fruit (default: 0)", "MU"),
+)  # fmt: skip
 
 
 def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     """Execute the motion and print the result; return the exit status."""
+    from hplan.apps.cli.finished_job import FinishedJob
     from hplan.apps.execution.simulated_arm import Plant
     from hplan.apps.execution.simulation import execute, read_motion
     from hplan.scene.file import load_scene
+    from hplan.trajectory.trajectory import Trajectory
 
-    motion = read_motion(arguments.trajectory)
-    scene = load_scene(arguments.scene)
-    robot = robot_of(arguments, scene)
+    path: Path = arguments.trajectory
+    job = FinishedJob(path, tours=True) if is_folder(path) else None
+    motion: Trajectory | RecordedMotion = read_motion(path) if job is None else job.trajectory()
+    scene = load_scene(job.scene if arguments.scene is None and job is not None else arguments.scene)
+    robot = robot_of(arguments, scene, job)
     plant = Plant(arguments.mass_factor, 1e-3 * arguments.command_delay, arguments.bandwidth)
-    result = execute(robot, scene, motion, plant)
-    _show_execution(console, arguments.trajectory, scene, result)
+    trees = _bending_trees(arguments)
+    for file, option in ((arguments.report, "--report"), (arguments.page, "--page")):
+        if file is not None:
+            check_output_file(file, option, force=arguments.force)
+    result = execute(robot, scene, motion, plant, trees)
+    if arguments.page is not None:
+        _write_page(robot, scene, result, arguments.page)
+    bounds = _contact_bounds(job)
+    report = {"status": "ok" if result.ok else "failed", "scene": scene.name, "robot": robot.name}
+    report |= _execution_report(result, scene, bounds)
+    hand_out(arguments, console, report, lambda: _show(console, arguments, scene, result, bounds))
+    return 0 if result.ok else FAILED
+
+
+def _show(
+    console: Console, arguments: argparse.Namespace, scene: Scene, result: Execution, bounds: ContactBounds
+) -> None:
+    """Print the result, and whether it is within the tracking error."""
+    _show_execution(console, arguments.trajectory, scene, result, bounds)
     tracking = tracking_of(arguments)
     if not tracking.is_exact:
         kept = "no joint was" if result.is_within(tracking) else "[bold red]some joint was[/]"
-        console.print(f"{kept} farther from its reference than a tracking error of {tracking.summary(robot.slides)}\n")
-    return 0 if result.ok else FAILED
+        units = tracking.summary(result.slides)
+        console.print(f"{kept} farther from its reference than a tracking error of {units}\n")
+
+
+def _bending_trees(arguments: argparse.Namespace) -> BendingTrees | None:
+    """Properties of the trees; None without `--bending`.
+
+    Raises:
+        OptionError: A property is given without `--bending`, or is out of its range.
+    """
+    from hplan.apps.execution.bending_wood import BendingTrees
+
+    given = {name: getattr(arguments, name) for name, *_ in _TREE_OPTIONS if getattr(arguments, name) is not None}
+    if not arguments.bending:
+        for name, option, *_ in _TREE_OPTIONS:
+            if name in given:
+                raise OptionError(option, given[name], "no value without --bending")
+        return None
+    return BendingTrees(**given)
+
+
+def _contact_bounds(job: FinishedJob | None) -> ContactBounds:
+    """Bounds of the certificate by limb or fruit and link; empty without a certificate that has any."""
+    pushes = () if job is None else job.report["certificate"].get("pushes") or ()
+    found: dict[tuple[str, str], Mapping[str, Any]] = {}
+    for push in pushes:
+        if push.get("force_n") is not None:
+            key = push["obstacle"], push["link"]
+            known = found.get(key, {})
+            found[key] = {name: max(known.get(name, 0.0), push.get(name) or 0.0) for name in _BOUNDS}
+    return found
+
+
+def _write_page(robot: Robot, scene: Scene, result: Execution, path: Path) -> None:
+    """Write the animated page of the simulated motion."""
+    from hplan.apps.view.page import write_page
+    from hplan.apps.view.playback import Playback
+
+    bodies = None if result.trees is None else result.trees.motions
+    write_page(robot, scene, Playback(result.trajectory, bodies=bodies), path)
+
+
+def _execution_report(result: Execution, scene: Scene, bounds: ContactBounds) -> dict[str, Any]:
+    """Report of an execution, as JSON values."""
+    from dataclasses import asdict
+
+    names = (
+        "duration_s", "ended_at_goal", "saturated_s", "joint_names", "start_error_rad", "max_tracking_error_rad",
+        "final_error_rad", "needed_torque_nm", "peak_torque_nm", "torque_limit_nm",
+    )  # fmt: skip
+    report: dict[str, Any] = {name: getattr(result, name) for name in names}
+    report |= {name: [asdict(one) for one in getattr(result, name)] for name in ("contacts", "pushes")}
+    report["nearest"] = None if result.nearest is None else asdict(result.nearest)
+    trees = result.trees
+    if trees is not None:
+        contacts = [
+            asdict(one) | {"bound": bounds.get((one.limb, one.link)), "within_limits": one.is_within(trees.wood)}
+            for one in trees.contacts
+        ]
+        moved = {name: value for name, value in trees.fruit_displacement_m.items() if value > _VISIBLE_M}
+        report["trees"] = {
+            "contacts": contacts,
+            "broken": [asdict(one) for one in trees.broken],
+            "knocked_off": [asdict(one) for one in trees.knocked_off],
+            "fruit_displacement_m": moved,
+            "goal_displacement_m": trees.fruit_displacement_m.get(scene.goal.fruit or ""),
+            "limits": {key: getattr(trees.wood, key) for key in ("contact_force", "wood_stress_mpa", "fruit_force")},
+        }
+    return report
 
 
 def parser(prog: str) -> argparse.ArgumentParser:
     """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EPILOG, prog=prog)
-    parser.add_argument("trajectory", type=Path, metavar="TRAJECTORY.csv", help="CSV of the motion")
-    add_shared(parser, "scene", "robot", "parts")
     add = parser.add_argument
+    add("trajectory", type=Path, metavar="FOLDER_OR_CSV", help="CSV of the motion, or output folder of a plan or tour")
+    add_shared(parser, "scene", "robot", "parts", scene="the job's, or the paper's reference scene")
     add(
         "--mass-factor",
         type=float,
@@ -85,11 +205,20 @@ def parser(prog: str) -> argparse.ArgumentParser:
         help="bandwidth of the position loop in rad/s (default: 40)",
     )
     add_shared(parser, "tracking")
+    add("--bending", action="store_true", help="simulate limbs that bend and fruit that hangs; in a scene without "
+        "limbs they are found by proximity")  # fmt: skip
+    for name, option, about, metavar in _TREE_OPTIONS:
+        add(option, dest=name, type=float, metavar=metavar, help=f"with --bending: {about}")
+    add("--page", type=Path, metavar="FILE", help="write an animated page of the simulated motion to this file")
+    add("--report", type=Path, metavar="FILE", help="write the result as JSON to this file")
+    add_shared(parser, "force")
+    add("--json", action="store_true", help="print the result as JSON instead of a summary")
+    add("--quiet", action="store_true", help="print no summary")
     return parser
 
 
-def _show_execution(console: Console, path: Path, scene: Scene, result: Execution) -> None:
-    """Print errors and torques of each joint, contacts and the verdict."""
+def _show_execution(console: Console, path: Path, scene: Scene, result: Execution, bounds: ContactBounds) -> None:
+    """Print errors and torques of each joint, contacts, the response of the trees and the verdict."""
     from hplan.base.units import joint_unit
 
     units = [joint_unit(slides) for slides in result.slides]
@@ -134,8 +263,62 @@ def _show_execution(console: Console, path: Path, scene: Scene, result: Executio
         facts.add_row("contact", f"[bold red]{pair}[/] at {touch.time_s:.3f} s, {depth}")
     console.print(facts)
     console.print()
+    if result.trees is not None:
+        _show_trees(console, scene, result.trees, bounds)
     obstacles = list(dict.fromkeys(touch.obstacle for touch in result.contacts))
     more = f" and {len(obstacles) - 3} more" if len(obstacles) > 3 else ""
     touched = f"touched {escape(', '.join(obstacles[:3]))}{more}" if obstacles else "touched nothing"
+    if result.trees is not None:
+        touched = _describe_trees(result.trees, touched if obstacles else "")
     ended = "ended at the goal" if result.ended_at_goal else "did not end at the goal"
     console.print(f"[bold {'green' if result.ok else 'red'}]{touched}, {ended}[/]\n")
+
+
+def _show_trees(console: Console, scene: Scene, trees: TreeResponse, bounds: ContactBounds) -> None:
+    """Print contacts with limbs and fruit, with the certificate's bounds, and the damage."""
+    headings = "limb or fruit", "link", "force", "stress", "deflection", "from", "to"
+    table = number_table(headings, (), texts=("limb or fruit", "link"))
+    for one in sorted(trees.contacts, key=lambda one: (-one.force_n, one.limb, one.link)):
+        bound = bounds.get((one.limb, one.link), {})
+        force = f"{one.force_n:.1f}{_bound_words(bound, 'force_n')} N"
+        stress = "" if one.is_fruit else f"{one.stress_mpa:.1f}{_bound_words(bound, 'stress_mpa')} MPa"
+        deflection = f"{1e3 * one.deflection_m:.1f} mm"
+        force = force if one.is_within(trees.wood) else f"[bold red]{force}[/]"
+        times = f"{one.begin_s:.2f} s", f"{one.end_s:.2f} s"
+        table.add_row(escape(one.limb), escape(one.link), force, stress, deflection, *times)
+    if trees.contacts:
+        console.print(table)
+        console.print()
+    facts = facts_table(indent=0)
+    for limb in trees.broken:
+        facts.add_row("broken", f"[bold red]{escape(limb.name)}[/] at {limb.time_s:.3f} s, {limb.load:.0f} MPa")
+    for fruit in trees.knocked_off:
+        facts.add_row("knocked off", f"[bold red]{escape(fruit.name)}[/] at {fruit.time_s:.3f} s, {fruit.load:.1f} N")
+    moved = [value for value in trees.fruit_displacement_m.values() if value > _VISIBLE_M]
+    if moved:
+        facts.add_row("displaced", f"{len(moved)} fruit at the end, up to {1e3 * max(moved):.1f} mm")
+    goal = trees.fruit_displacement_m.get(scene.goal.fruit or "")
+    if goal is not None:
+        facts.add_row("goal fruit", f"{1e3 * goal:.1f} mm from its place at the end")
+    if facts.row_count:
+        console.print(facts)
+        console.print()
+
+
+def _bound_words(bound: Mapping[str, Any], key: str) -> str:
+    """The certificate's bound of a value; empty without one."""
+    value = bound.get(key)
+    return "" if value is None else f" of {value:.1f}"
+
+
+def _describe_trees(trees: TreeResponse, touched: str) -> str:
+    """Describe contacts with rigid obstacles and with trees in a few words."""
+    limbs = {one.limb for one in trees.contacts if not one.is_fruit}
+    fruit = {one.limb for one in trees.contacts if one.is_fruit}
+    beyond = sum(not one.is_within(trees.wood) for one in trees.contacts)
+    words = [touched] if touched else []
+    words.append(f"touched {len(limbs)} limbs and {len(fruit)} fruit" if trees.contacts else "touched no limb")
+    words += [f"{beyond} contacts beyond the limits"] if beyond else []
+    words += [f"broke {len(trees.broken)} limbs"] if trees.broken else []
+    words += [f"knocked off {len(trees.knocked_off)} fruit"] if trees.knocked_off else []
+    return ", ".join(words)

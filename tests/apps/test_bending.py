@@ -1,0 +1,232 @@
+"""Trees that bend in MuJoCo: beam theory, fruit on stalks, the command and its page."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pages import animation_of, commands_of, objects
+from planned import fruit, straight, task
+from script_loader import load_script
+
+from hplan.apps.execution.bending_wood import BendingTrees, WoodBodies
+from hplan.apps.execution.simulated_arm import import_mujoco
+from hplan.apps.execution.simulation import Execution, execute
+from hplan.apps.execution.tree_response import TreeMonitor
+from hplan.apps.view.body_motions import limb_clips
+from hplan.apps.view.page import render_page
+from hplan.apps.view.playback import Playback
+from hplan.base.arrays import FloatArray
+from hplan.errors import SceneError
+from hplan.robot.model import Robot
+from hplan.scene import save_scene, with_limbs
+from hplan.scene.limbs import Limbs
+from hplan.scene.obstacles import Capsule
+from hplan.scene.orchard import OrchardOptions, generate
+from hplan.scene.wood import Wood
+from hplan.trajectory.trajectory import write_csv
+
+pytest.importorskip("mujoco", reason="the extra `execution` is not installed")
+
+TRUNK = Capsule(name="trunk", start=(2.1, 0.0, 0.0), end=(2.1, 0.0, 2.0), radius=0.03)
+
+#: A shoot towards the base, with a twig on it.
+SHOOT = Capsule(name="shoot", start=(2.1, 0.0, 1.3), end=(1.3, 0.0, 1.3), radius=0.005, parent="trunk")
+TWIG = Capsule(name="twig", start=(1.6, 0.0, 1.3), end=(1.6, 0.0, 1.55), radius=0.004, parent="shoot")
+
+START, GOAL = (-25.0, 20.0, 20.0, 20.0), (25.0, 20.0, 20.0, 20.0)
+
+
+class Pushed:
+    """A limb in MuJoCo that is pushed at a point by a force; steps of a second lead to the equilibrium."""
+
+    def __init__(self, limbs: Limbs, number: int, along: float, trees: BendingTrees) -> None:
+        self.mujoco = import_mujoco()
+        spec = self.mujoco.MjSpec()
+        spec.option.timestep = 1.0
+        bodies = WoodBodies(self.mujoco, spec, limbs, Wood(), trees)
+        bodies.add_limbs([limbs.names[number]])
+        self.model = spec.compile()
+        self.data = self.mujoco.MjData(self.model)
+        self.monitor = TreeMonitor(self.mujoco, self.model, self.data, bodies)
+        carrier = bodies.carrier(number, along)
+        self.body = self.model.body(carrier.body.name).id
+        self.local = limbs.start[number] + along * limbs.axis[number] - carrier.origin
+
+    @property
+    def point(self) -> FloatArray:
+        return np.asarray(self.data.xpos[self.body] + self.data.xmat[self.body].reshape(3, 3) @ self.local)
+
+    def displacement(self, force: FloatArray) -> FloatArray:
+        before = self.point
+        for _ in range(20):
+            lever = self.point - self.data.xipos[self.body]
+            self.data.xfrc_applied[self.body] = [*force, *np.cross(lever, force)]
+            self.mujoco.mj_step(self.model, self.data)
+            self.mujoco.mj_forward(self.model, self.data)
+        return self.point - before
+
+
+@pytest.mark.parametrize(("number", "fraction"), [(1, 1.0), (1, 0.4), (1, 0.07), (2, 1.0), (2, 0.5), (2, 0.1)])
+def test_limb_has_the_compliance_of_a_beam(number: int, fraction: float) -> None:
+    limbs = Limbs.of([TRUNK, SHOOT, TWIG])
+    along = fraction * float(limbs.length[number])
+    limb = Pushed(limbs, number, along, BendingTrees(youngs_modulus_gpa=3.0))
+    compliance = limbs.compliance(number, fraction, 3e9)[:3, :3]
+    for direction in np.eye(3):
+        expected = compliance @ direction
+        size = float(np.linalg.norm(expected))
+        if size > 1e-9:
+            force = 1e-4 / size * direction
+            limb.mujoco.mj_resetData(limb.model, limb.data)
+            limb.mujoco.mj_forward(limb.model, limb.data)
+            np.testing.assert_allclose(limb.displacement(force), 1e-4 * expected / size, atol=3e-6)
+
+
+def test_stress_of_a_cantilever_is_that_of_its_clamp() -> None:
+    limbs = Limbs.of([TRUNK, SHOOT])
+    force = np.array([0.0, 0.0, 0.5])
+    limb = Pushed(limbs, 1, 0.8, BendingTrees())
+    limb.displacement(force)
+    expected = 4.0 * 0.5 * 0.8 / (math.pi * 0.005**3)
+    assert limb.monitor.bending_stress()[1] == pytest.approx(expected, rel=0.01)
+
+
+def sweep(robot: Robot, *obstacles: Capsule, seconds: float = 2.0, fruits: Any = (), **trees: float) -> Execution:
+    """The arm sweeps sideways through what is in front of it."""
+    scene = task(START, GOAL, [TRUNK, *obstacles], fruits=fruits, wood=Wood())
+    motion = straight(robot, np.radians(START), np.radians(GOAL), seconds, 100.0)
+    return execute(robot, scene, motion, trees=BendingTrees(**trees))
+
+
+@pytest.fixture(scope="module")
+def swept(robot: Robot) -> Execution:
+    return sweep(robot, SHOOT, TWIG, fruits=(fruit("apple", 0.0, 1.4, 1.25),))
+
+
+def test_swept_shoot_bends_and_springs_back(swept: Execution) -> None:
+    assert swept.trees is not None
+    assert {one.limb for one in swept.trees.contacts} >= {"shoot"}
+    for one in swept.trees.contacts:
+        assert one.force_n > 0.0
+        assert one.begin_s <= one.force_s <= one.end_s < swept.duration_s
+    shoot = max((one for one in swept.trees.contacts if one.limb == "shoot"), key=lambda one: one.force_n)
+    assert 0.02 < shoot.deflection_m < 0.5
+    assert 1.0 < shoot.stress_mpa < 400.0
+    assert not swept.contacts  # nothing rigid
+    assert swept.ended_at_goal
+
+
+def test_fruit_is_knocked_off_by_a_fast_arm_and_a_weak_stalk(robot: Robot) -> None:
+    apple = fruit("apple", 0.0, 1.4, 1.25)
+    strong = sweep(robot, SHOOT, fruits=(apple,), stalk_strength_n=1e4).trees
+    weak = sweep(robot, SHOOT, fruits=(apple,), stalk_strength_n=3.0).trees
+    assert strong is not None
+    assert weak is not None
+    assert not strong.knocked_off
+    assert strong.fruit_displacement_m["apple"] < 0.5
+    (lost,) = weak.knocked_off
+    assert lost.name == "apple"
+    assert lost.load > 3.0
+    assert not weak.fruit_displacement_m
+    assert not weak.ok
+    (falls,) = weak.motions.fruits
+    assert falls.position[-1, 2] == pytest.approx(0.04, abs=1e-6)  # on the ground
+
+
+def test_stronger_wood_does_not_break(swept: Execution, robot: Robot) -> None:
+    assert swept.trees is not None
+    broken = sweep(robot, SHOOT, wood_strength_mpa=1.0).trees
+    assert broken is not None
+    assert [one.name for one in broken.broken] == ["shoot"]
+    assert broken.broken[0].load > 1.0
+
+
+def test_limbs_are_found_in_a_scene_without_wood(robot: Robot) -> None:
+    bare = [piece.model_copy(update={"parent": None}) for piece in (TRUNK, SHOOT)]
+    motion = straight(robot, np.radians(START), np.radians(GOAL), 2.0, 100.0)
+    result = execute(robot, task(START, GOAL, bare), motion, trees=BendingTrees())
+    assert result.trees is not None
+    assert {one.limb for one in result.trees.contacts} == {"shoot"}
+    with pytest.raises(SceneError, match=r"parent|limb|touch"):
+        execute(robot, task(START, GOAL, bare[:1]), motion, trees=BendingTrees())
+
+
+# The page.
+
+
+def test_limbs_move_on_the_page(swept: Execution, robot: Robot) -> None:
+    assert swept.trees is not None
+    motions = swept.trees.motions
+    assert motions.limb_names == {"shoot", "twig"}
+    scene = task(START, GOAL, [TRUNK, SHOOT, TWIG], fruits=(fruit("apple", 0.0, 1.4, 1.25),))
+    page = render_page(robot, scene, Playback(swept.trajectory, bodies=motions))
+    assert len(page) < 3e6
+    commands = commands_of(page)
+    drawn = [path for path in objects(commands) if path.startswith("/hplan/limbs/")]
+    assert len(drawn) == len(motions.limbs)
+    clips = {clip["path"]: clip["clip"] for clip in animation_of(commands)["animations"]}
+    moving = [clips[path] for path in drawn if path in clips]
+    assert len(moving) == sum(body.moves for body in motions.limbs) > 0
+    largest = 0.0
+    for clip in moving:
+        (track,) = [track for track in clip["tracks"] if track["name"] == ".position"]
+        places = np.reshape(track["values"], (-1, 3))
+        assert len(places) == len(track["times"])
+        largest = max(largest, float(np.linalg.norm(places - places[0], axis=1).max()))
+    assert largest > 0.02
+    assert "/hplan/fruits/fruit apple" in clips
+
+
+def test_keyframes_are_few_and_close(swept: Execution) -> None:
+    assert swept.trees is not None
+    motions, duration = swept.trees.motions, swept.trajectory.duration
+    bodies = [body for body in motions.limbs if body.moves]
+    for body, clip in zip(bodies, limb_clips(motions, duration, duration + 1.0), strict=True):
+        (track,) = [track for track in clip["clip"]["tracks"] if track["name"] == ".position"]
+        places = np.reshape(track["values"], (-1, 3))
+        shown = np.column_stack([np.interp(motions.time, track["times"], axis) for axis in places.T])
+        assert np.abs(shown - body.position).max() < 1e-3
+        assert len(places) <= len(motions.time) + 1
+
+
+# The command.
+
+
+@pytest.fixture
+def small_orchard(tmp_path: Path) -> Path:
+    """One generated tree with fruit, and limits of force."""
+    options = OrchardOptions(trees=1, distance=2.0, branches=16, branch_length=1.0, shoots=1, fruits=4)
+    return save_scene(with_limbs(generate(options)), tmp_path / "orchard.yaml")
+
+
+def test_command(small_orchard: Path, robot: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    motion = write_csv(straight(robot, np.radians(START), np.radians(GOAL), 2.0, 100.0), tmp_path / "motion.csv")
+    report, page = tmp_path / "report.json", tmp_path / "motion.html"
+    command = [str(motion), str(small_orchard), "--bending"]
+    status = load_script("execute").main([*command, "--report", str(report), "--page", str(page)])
+    text = capsys.readouterr().out
+    content = json.loads(report.read_text())
+    trees = content["trees"]
+    assert status == (0 if content["status"] == "ok" else 5)
+    assert trees["contacts"]
+    assert all(one["limb"] in text and one["force_n"] > 0.0 for one in trees["contacts"])
+    assert {"broken", "knocked_off", "goal_displacement_m", "limits"} <= set(trees)
+    assert any("/limbs/" in path for path in objects(commands_of(page.read_text(encoding="utf-8"))))
+    softer = load_script("execute").main([*command, "--youngs-modulus", "0.7", "--json", "--wood-strength", "1000"])
+    soft = json.loads(capsys.readouterr().out)
+    assert softer in (0, 5)
+    assert not soft["trees"]["broken"]
+    stiff, soft_force = (sum(one["force_n"] for one in each["trees"]["contacts"]) for each in (content, soft))
+    assert soft_force < stiff
+
+
+def test_options_of_trees_need_bending(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "motion.csv"
+    path.write_text("time_s,a_pos_rad\n0,0\n")
+    assert load_script("execute").main([str(path), "--friction", "0.3"]) == 2
+    assert "--friction" in capsys.readouterr().err

@@ -44,6 +44,8 @@ STUDIES = {
     "random": "arms:RANDOM",
     "cells": "cells:CELLS",
     "cell_trees": "cell_trees:CELL_TREES",
+    "wood_static": "wood:WOOD_STATIC",
+    "wood_moving": "wood:WOOD_MOVING",
 }
 
 #: Other planners that can solve the problems of a study.

@@ -126,3 +126,16 @@ def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ):
         assert script.main([*options, *out]) == 2
         assert needed in " ".join(capsys.readouterr().err.split())
+
+
+def test_trees_that_bend(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="the extra `execution` is not installed")
+    rows = ["kind,x1,y1,z1,x2,y2,z2,radius", "trunk,0,0,0,0,0,3,0.03"]
+    rows += [f"branch,0,0,{0.3 * i},-0.5,0,{0.3 * i},0.005" for i in range(1, 8)]
+    (tmp_path / "t1.csv").write_text("\n".join(rows) + "\n")
+    trees = str(tmp_path)
+    (static,) = rows_of("wood_static", tmp_path, "--trees", trees)
+    assert static["at_rest_error"] < 0.05
+    moving = rows_of("wood_moving", tmp_path, "--trees", trees, "--count", "4")
+    assert all(0.0 < row["force_ratio"] < 1.0 for row in moving if row["touched"])
+    assert any(row["touched"] for row in moving)

@@ -1,0 +1,439 @@
+"""Trees that bend in MuJoCo, against beam theory and against the bounds of contact.
+
+`wood_static` pushes random points of random limbs with a force across the limb, in equilibrium. `wood_moving` moves a
+ball or a capsule against a random limb, up to a permitted depth, with speeds as planned.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from studies.harness import Row, Study, StudyConfig
+
+from hplan.apps.execution.bending_wood import BendingTrees, WoodBodies
+from hplan.apps.execution.simulated_arm import import_mujoco
+from hplan.apps.execution.tree_response import TreeMonitor
+from hplan.base.arrays import BoolArray, FloatArray, IntArray
+from hplan.certificate.pushes import Load
+from hplan.scene.limbs import Limbs, find_parents
+from hplan.scene.model import Fruit, Goal, Scene, Start, with_limbs
+from hplan.scene.obstacle_kind import ContactLimit
+from hplan.scene.orchard import import_tree
+from hplan.scene.wood import Wood
+
+#: Minimum distance of a push from the start of its segment, in radii: nearer to it, limbs do not bend like beams.
+NEAREST_RADII = 4.0
+
+#: Maximum deflection, relative to the length of wood between the push and the clamp.
+MOST_DEFLECTION = 0.1
+
+#: Maximum error of the compliance.
+TOLERANCE = 0.05
+
+
+@dataclass(frozen=True)
+class TreePush:
+    """A push of a tree: its name, its tree's file and its random seed."""
+
+    name: str
+    tree: Path
+    seed: tuple[int, ...]
+
+    @property
+    def random(self) -> np.random.Generator:
+        """Random number generator of the push."""
+        return np.random.default_rng(self.seed)
+
+
+def _pushes(config: StudyConfig) -> Iterable[TreePush]:
+    """Pushes of each tree; `count` is the number for each."""
+    files = sorted((config.trees or Path()).glob("*.csv"))
+    count = config.count or 0
+    return [
+        TreePush(f"{file.stem}: push {number}", file, (config.seed, row, number))
+        for row, file in enumerate(files)
+        for number in range(config.first, config.first + count)
+    ]
+
+
+@lru_cache(maxsize=32)
+def _limbs(file: Path) -> tuple[Limbs, Wood]:
+    """Limbs of a tree, and its wood.
+
+    Wood is clamped from 8 mm of radius on; if that is almost all of the tree, from the radius that 60 % do not exceed.
+    """
+    capsules = import_tree(file)[0]
+    radius = [piece.radius for piece in capsules]
+    clamp = max(Wood().clamp_radius, float(np.quantile(radius, 0.6)) * (1.0 + 1e-9))
+    parents = find_parents(capsules)
+    grown = [piece.copy_unchecked({"parent": parents.get(piece.name)}) for piece in capsules]
+    return Limbs.of(grown, clamp), Wood(clamp_radius=clamp)
+
+
+class _Equilibrium:
+    """A limb in MuJoCo that is pushed at a point, in equilibrium."""
+
+    def __init__(self, limbs: Limbs, wood: Wood, trees: BendingTrees, number: int, along: float) -> None:
+        mujoco = import_mujoco()
+        spec = mujoco.MjSpec()
+        # With implicit damping, steps of this length are Newton's steps to the equilibrium [s].
+        spec.option.timestep = 1.0
+        bodies = WoodBodies(mujoco, spec, limbs, wood, trees)
+        bodies.add_limbs([limbs.names[number]])
+        self._mujoco, self._model = mujoco, spec.compile()
+        self._data = mujoco.MjData(self._model)
+        bodies.finish(self._model, self._data)
+        carrier = bodies.carrier(number, along)
+        self._body = self._model.body(carrier.body.name).id
+        self._local = limbs.start[number] + along * limbs.axis[number] - carrier.origin
+
+    def displacement(self, force: FloatArray) -> FloatArray:
+        """(3,) displacement of the point by a force [m]."""
+        self._mujoco.mj_resetData(self._model, self._data)
+        self._mujoco.mj_forward(self._model, self._data)
+        start = before = self._point()
+        for _ in range(100):
+            lever = self._point() - self._data.xipos[self._body]
+            self._data.xfrc_applied[self._body] = [*force, *np.cross(lever, force)]
+            self._mujoco.mj_step(self._model, self._data)
+            self._mujoco.mj_forward(self._model, self._data)
+            if np.linalg.norm(self._point() - before) < 1e-12:
+                break
+            before = self._point()
+        return self._point() - start
+
+    def _point(self) -> FloatArray:
+        found: FloatArray = self._data.xpos[self._body] + self._data.xmat[self._body].reshape(3, 3) @ self._local
+        return found
+
+
+def _static(_: StudyConfig, push: TreePush) -> Row:
+    """Displacement by a force across a limb, relative to beam theory."""
+    random, (limbs, wood) = push.random, _limbs(push.tree)
+    long_enough = ~limbs.clamped & (limbs.length > NEAREST_RADII * limbs.radius)
+    number = int(random.choice(np.flatnonzero(long_enough)))
+    length = float(limbs.length[number])
+    along = float(random.uniform(NEAREST_RADII * limbs.radius[number], length))
+    modulus_gpa = float(random.uniform(*wood.youngs_modulus_gpa))
+    direction = np.cross(random.normal(size=3), limbs.axis[number])
+    direction /= np.linalg.norm(direction)
+    compliance = limbs.compliance(number, along / length, 1e9 * modulus_gpa)[:, :3] @ direction
+    unit, turn = compliance[:3], float(np.linalg.norm(compliance[3:]))
+    share = float(random.uniform(0.0, MOST_DEFLECTION))
+    force = share * _arc(limbs, number, along) / np.linalg.norm(unit)
+    limb = _Equilibrium(limbs, wood, BendingTrees(youngs_modulus_gpa=modulus_gpa), number, along)
+    # A thousandth of the force shows the compliance at rest.
+    small, whole = (limb.displacement(part * force * direction) / (part * force) for part in (1e-3, 1.0))
+    expected = float(unit @ direction)
+    at_rest, error = (abs(float(found @ direction) / expected - 1.0) for found in (small, whole))
+    return {
+        "name": push.name, "tree": push.tree.stem, "at_rest_error": at_rest, "error": error, "deflection": share,
+        "rotation_rad": turn * force,
+        "within": error <= TOLERANCE, "fault": not at_rest <= TOLERANCE,
+    }  # fmt: skip
+
+
+def _arc(limbs: Limbs, number: int, along: float) -> float:
+    """Length of wood between a point and its clamp [m]."""
+    path = limbs.path(number)
+    below = [float((limbs.joint[child] - limbs.start[on]) @ limbs.axis[on]) for child, on in itertools.pairwise(path)]
+    return along + sum(below)
+
+
+WOOD_STATIC = Study(
+    "wood_static",
+    "compliance of limbs in MuJoCo against beam theory, on measured trees (--trees); count for each tree",
+    _static,
+    ("at_rest_error", "error", "within", "deflection", "rotation_rad"),
+    problems=_pushes,
+    by="tree",
+    count=(60, 2),
+    needs=("trees",),
+    peers=(),
+    warm=0,
+)
+
+
+# Pushes in motion.
+
+#: Deceleration of a body that stops in a limb [m/s^2], and time that it stays there [s].
+DECELERATION, STAY_S = 10.0, 0.08
+
+#: Range of the body's speed [m/s].
+SPEEDS = (0.15, 1.2)
+
+#: Step of the simulation, and of the motions that are checked for their depths [s].
+STEP_S, CHECK_S = 2.5e-4, 2e-3
+
+#: Distance from which on a motion is simulated [m].
+BEFORE_M = 2e-3
+
+#: Limbs that share a root bend together up to this number; of more, those on the way from the contact to the clamp.
+MOST_BENDING = 12
+
+#: Attempts to find a motion within the permitted depths.
+ATTEMPTS = 200
+
+
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """A tree with the solids that a pushing body meets.
+
+    Attributes:
+        limbs: Its limbs.
+        scene: The scene.
+        limits: Limits of the solids that may be pushed, by number.
+        is_limb: (k,) True for parts of limbs.
+        segments: (k,) limb segment of each part; -1 for others.
+        targets: Numbers of the parts of each limb.
+        start: (k, 3) first ends of the solids' axes [m].
+        end: (k, 3) last ends [m].
+        radius: (k,) radii [m].
+        depth: (k,) permitted depths [m].
+        spans: (k,) half lengths of the axes [m].
+    """
+
+    limbs: Limbs
+    scene: Scene
+    limits: Mapping[int, ContactLimit]
+    is_limb: BoolArray
+    segments: IntArray
+    targets: tuple[IntArray, ...]
+    start: FloatArray
+    end: FloatArray
+    radius: FloatArray
+    depth: FloatArray
+    spans: FloatArray
+
+
+@lru_cache(maxsize=4)
+def _tree_scene(file: Path) -> _Scene:
+    """A tree with its fruit."""
+    limbs, wood = _limbs(file)
+    capsules, fruits = import_tree(file)
+    rest = Start(joints_deg=(0.0,)), Goal(joints_deg=(0.0,))
+    scene = with_limbs(Scene(name=file.stem, start=rest[0], goal=rest[1], obstacles=capsules, fruits=fruits), wood)
+    solids = tuple(solid for solid in scene.solids if solid.meets != "others")
+    limits = {row: solid.contact_limit for row, solid in enumerate(solids) if solid.contact_limit is not None}
+    is_limb = np.zeros(len(solids), dtype=np.bool_)
+    is_limb[[row for row, limit in limits.items() if limit.depth > 0.0 and limit.swing == 0.0]] = True
+    segments = np.array([limits[row].segment if row in limits else -1 for row in range(len(solids))], dtype=np.int64)
+    targets = tuple(np.flatnonzero(is_limb & (segments == row)) for row in np.unique(segments[is_limb]))
+    start, end = (np.array([solid.core[at] for solid in solids]) for at in (0, -1))
+    return _Scene(
+        limbs, scene, limits, is_limb, segments, targets, start, end, np.array([solid.rounding for solid in solids]),
+        np.array([solid.yields for solid in solids]), 0.5 * np.linalg.norm(end - start, axis=1),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """A ball or capsule that moves without rotation.
+
+    Attributes:
+        half: (3,) half of its axis [m]; zero for a ball.
+        radius: Radius [m].
+        time: (k,) times [s].
+        position: (k, 3) positions of its middle [m].
+        speed: (k,) speeds [m/s].
+    """
+
+    half: FloatArray
+    radius: float
+    time: FloatArray
+    position: FloatArray
+    speed: FloatArray
+
+    def at(self, kept: slice) -> _Body:
+        """The body at some of its times."""
+        return replace(self, time=self.time[kept], position=self.position[kept], speed=self.speed[kept])
+
+    def depths(self, tree: _Scene, rows: IntArray) -> FloatArray:
+        """(k, rows) depths in some undeformed solids over time; negative for distances [m]."""
+        # Distances from points of the body's axis 4 mm apart exceed those from the axis by at most 0.1 mm.
+        count = 1 + 2 * math.ceil(float(np.linalg.norm(self.half)) / 4e-3)
+        start, along, radius = tree.start[rows], tree.end[rows] - tree.start[rows], tree.radius[rows]
+        square = np.maximum(np.einsum("nj,nj->n", along, along), 1e-18)
+        found = np.full((len(self.time), len(rows)), -np.inf)
+        for share in np.linspace(-1.0, 1.0, count) if count > 1 else (0.0,):
+            offset = (self.position + share * self.half)[:, None] - start
+            at = np.clip(np.einsum("knj,nj->kn", offset, along) / square, 0.0, 1.0)
+            distance = np.linalg.norm(offset - at[:, :, None] * along, axis=2)
+            np.maximum(found, self.radius + radius - distance, out=found)
+        return found
+
+
+def _moving(config: StudyConfig, push: TreePush) -> Row | None:
+    """Largest force and stress of a push in motion, relative to their bounds; None without room for a motion."""
+    random, tree = push.random, _tree_scene(push.tree)
+    if not tree.targets:
+        return None
+    found = next((drawn for _ in range(ATTEMPTS) if (drawn := _draw(random, tree)) is not None), None)
+    if found is None:
+        return None
+    body, loads = found
+    wood = tree.scene.wood or Wood()
+    modulus_gpa = float(random.uniform(*wood.youngs_modulus_gpa))
+    fruits = tree.scene.fruits if config.values.get("fruit", (1,))[0] else ()
+    monitor = _simulate(tree, body, {load.limit.segment for load in loads}, modulus_gpa, fruits)
+    forces: dict[str, float] = defaultdict(float)
+    of_roots: dict[int, list[Load]] = defaultdict(list)
+    for load in loads:
+        name = tree.limbs.names[load.limit.segment]
+        forces[name] = max(forces[name], load.force)
+        of_roots[load.limit.root].append(load)
+    contacts = monitor.response({}).contacts
+    force_ratio = max((one.force_n / forces[one.limb] for one in contacts if one.limb in forces), default=0.0)
+    roots = tree.limbs.roots()
+    stresses = {root: float(monitor.max_stress_pa[roots == root].max()) for root in of_roots}
+    bounds = {root: combined_stress(some) for root, some in of_roots.items()}
+    stress_ratio = max(stresses[root] / bounds[root] for root in of_roots)
+    return {
+        "name": push.name, "tree": push.tree.stem, "touched": any(one.limb in forces for one in contacts),
+        "force_ratio": force_ratio, "stress_ratio": stress_ratio,
+        "force_n": max((one.force_n for one in contacts if one.limb in forces), default=0.0),
+        "force_bound_n": max(forces.values()), "static_n": max(load.share * load.limit.force for load in loads),
+        "stress_mpa": 1e-6 * max(stresses.values()), "stress_bound_mpa": 1e-6 * max(bounds.values()),
+        # Limbs that moved into the body although it did not enter their place at rest.
+        "other_force_n": max((one.force_n for one in contacts if one.limb not in forces), default=0.0),
+        "speed_m_s": max(load.speed for load in loads), "modulus_gpa": modulus_gpa, "limbs": len(forces),
+        "fault": force_ratio > 1.0 or stress_ratio > 1.0,
+    }  # fmt: skip
+
+
+def combined_stress(loads: Sequence[Load]) -> float:
+    """Bound of the bending stress by simultaneous contacts on limbs with one root [Pa]."""
+    of_segment: dict[int, float] = defaultdict(float)
+    for load in loads:
+        of_segment[load.limit.segment] = max(of_segment[load.limit.segment], load.stress)
+    return sum(of_segment.values()) + max(load.impact_stress for load in loads)
+
+
+def _draw(random: np.random.Generator, tree: _Scene) -> tuple[_Body, list[Load]] | None:
+    """A motion of a body against a random limb, and its contacts; None if it is deeper than permitted anywhere."""
+    limbs, target = tree.limbs, int(random.choice(tree.targets[int(random.integers(len(tree.targets)))]))
+    limit = tree.limits[target]
+    axis = limbs.axis[limit.segment]
+    point = limbs.start[limit.segment] + float(random.uniform(*limit.along)) * axis
+    across, tilt = _across(random, axis), float(random.uniform(-0.6, 0.6))
+    normal = math.cos(tilt) * across + math.sin(tilt) * axis
+    radius, length = float(random.uniform(0.02, 0.05)), float(random.uniform(0.03, 0.12))
+    half = length * _across(random, normal) if random.random() < 0.5 else np.zeros(3)
+    depth, speed = float(random.uniform(0.3, 1.0)) * limit.depth, float(random.uniform(*SPEEDS))
+    deepest = point - normal * (radius + float(tree.radius[target]) - depth)
+    if random.random() < 0.5:
+        body = _stopping(half, radius, deepest, normal, speed, before=depth + 0.03)
+    else:
+        body = _passing(half, radius, deepest, _across(random, normal), speed)
+    near = np.linalg.norm(0.5 * (tree.start + tree.end) - deepest, axis=1) < tree.spans + length + radius + 0.15
+    rows = np.flatnonzero(near)
+    permitted = np.where(tree.is_limb[near], tree.depth[near], 0.0)
+    if (body.at(slice(None, None, 8)).depths(tree, rows) > permitted).any():
+        return None
+    depths = body.depths(tree, rows)
+    most = depths.max(axis=0)
+    if (most > permitted).any() or depths[0].max() > -BEFORE_M:
+        return None
+    loads = []
+    for row, number in enumerate(rows.tolist()):
+        if most[row] > 0.0:
+            fastest = float(body.speed[depths[:, row] > -BEFORE_M].max())
+            loads.append(Load(tree.limits[number], 0, float(most[row] / tree.depth[number]), fastest))
+    return (body, loads) if loads else None
+
+
+def _across(random: np.random.Generator, axis: FloatArray) -> FloatArray:
+    """(3,) random direction across an axis."""
+    found = np.cross(random.normal(size=3), axis)
+    return found / np.linalg.norm(found)
+
+
+def _stopping(
+    half: FloatArray, radius: float, end: FloatArray, direction: FloatArray, speed: float, before: float
+) -> _Body:
+    """Body that comes from a distance [m], stops at a point and stays there."""
+    braking = speed**2 / (2.0 * DECELERATION)
+    start_speed = min(speed, math.sqrt(2.0 * DECELERATION * before))
+    cruise = max(0.0, before - braking) / speed
+    time = np.arange(0.0, cruise + start_speed / DECELERATION + STAY_S, CHECK_S)
+    slow = np.clip(time - cruise, 0.0, start_speed / DECELERATION)
+    along = np.minimum(time, cruise) * speed + start_speed * slow - 0.5 * DECELERATION * slow**2
+    at = end + (along - before)[:, None] * direction
+    return _Body(half, radius, time, at, np.where(time < cruise, speed, start_speed - DECELERATION * slow))
+
+
+def _passing(half: FloatArray, radius: float, middle: FloatArray, direction: FloatArray, speed: float) -> _Body:
+    """Body that passes a point at a constant speed."""
+    before = 0.1
+    time = np.arange(0.0, 2.0 * before / speed, CHECK_S)
+    return _Body(half, radius, time, middle + (speed * time - before)[:, None] * direction, np.full(len(time), speed))
+
+
+def _simulate(
+    tree: _Scene, body: _Body, segments: set[int], modulus_gpa: float, fruits: Sequence[Fruit]
+) -> TreeMonitor:
+    """Move the body through the limbs in MuJoCo."""
+    limbs, mujoco = tree.limbs, import_mujoco()
+    roots = limbs.roots()
+    family = np.isin(roots, roots[list(segments)])
+    if family.sum() > MOST_BENDING:
+        family[:] = False
+        family[list(segments)] = True
+    names = {limbs.names[row] for row in np.flatnonzero(family).tolist()}
+    spec = mujoco.MjSpec()
+    spec.option.timestep = STEP_S
+    bodies = WoodBodies(mujoco, spec, limbs, tree.scene.wood or Wood(), BendingTrees(youngs_modulus_gpa=modulus_gpa))
+    bodies.add_limbs(names)
+    bodies.add_fruits(fruits, (), without_contact=[fruit.name for fruit in fruits])
+    pusher = spec.worldbody.add_body(name="pusher", gravcomp=1.0)
+    for axis in np.eye(3):
+        pusher.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+    kinds, size = mujoco.mjtGeom, [body.radius, 0.0, 0.0]
+    shape: dict[str, Any] = {"type": kinds.mjGEOM_SPHERE, "size": size}
+    if body.half.any():
+        shape = {"type": kinds.mjGEOM_CAPSULE, "size": size, "fromto": [*-body.half, *body.half]}
+    pusher.add_geom(name="pusher", mass=1e3, contype=1, conaffinity=0, **shape)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    monitor = TreeMonitor(mujoco, model, data, bodies)
+    row = int(model.body("pusher").dofadr[0]) + np.arange(3)
+    at = int(model.jnt_qposadr[model.body("pusher").jntadr[0]]) + np.arange(3)
+    obstacle_of = {int(model.geom(name).id): obstacle for name, obstacle in bodies.obstacle_of.items()}
+    depths = body.depths(tree, np.flatnonzero(np.isin(tree.segments, list(segments))))
+    first = max(0, int(np.argmax(depths.max(axis=1) > -BEFORE_M)) - 1)
+    times = np.arange(body.time[first], body.time[-1], STEP_S)
+    places = np.column_stack([np.interp(times, body.time, column) for column in body.position.T])
+    for place, following in itertools.pairwise(places):
+        data.qpos[at], data.qvel[row] = place, (following - place) / STEP_S
+        mujoco.mj_step(model, data)
+        contacts: dict[tuple[str, str], list[int]] = defaultdict(list)
+        for number in range(data.ncon):
+            obstacle = next(obstacle_of[geom] for geom in data.contact[number].geom.tolist() if geom in obstacle_of)
+            contacts["pusher", obstacle].append(number)
+        monitor.note(contacts)
+    return monitor
+
+
+WOOD_MOVING = Study(
+    "wood_moving",
+    "pushes in motion in MuJoCo against the bounds of force and stress, on trees (--trees); count for each tree",
+    _moving,
+    (
+        *("touched", "force_ratio", "stress_ratio", "force_n", "force_bound_n", "static_n", "stress_mpa"),
+        *("stress_bound_mpa", "other_force_n", "speed_m_s", "limbs"),
+    ),
+    problems=_pushes,
+    by="tree",
+    count=(527, 1),
+    needs=("trees",),
+    peers=(),
+    warm=0,
+)

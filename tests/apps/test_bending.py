@@ -215,7 +215,7 @@ def test_command(small_orchard: Path, robot: Robot, tmp_path: Path, capsys: pyte
     assert status == (0 if content["status"] == "ok" else 5)
     assert trees["contacts"]
     assert all(one["limb"] in text and one["force_n"] > 0.0 for one in trees["contacts"])
-    assert {"broken", "knocked_off", "goal_displacement_m", "limits"} <= set(trees)
+    assert {"broken", "knocked_off", "goal", "limits"} <= set(trees)
     assert any("/limbs/" in path for path in objects(commands_of(page.read_text(encoding="utf-8"))))
     softer = load_script("execute").main([*command, "--youngs-modulus", "0.7", "--json", "--wood-strength", "1000"])
     soft = json.loads(capsys.readouterr().out)

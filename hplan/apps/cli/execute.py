@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from hplan.apps.cli.options import add_shared, check_output_file, command_parser, robot_of, tracking_of
 from hplan.apps.cli.terminal import FAILED, escape, facts_table, hand_out, number_table
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from hplan.apps.execution.tree_response import TreeResponse
     from hplan.robot.model import Robot
     from hplan.scene.model import Scene
+    from hplan.trajectory.trajectory import Trajectory
 
 #: The certificate's bounds of a contact, by limb or fruit and link.
 ContactBounds: TypeAlias = Mapping[tuple[str, str], Mapping[str, Any]]
@@ -70,13 +71,36 @@ _TREE_OPTIONS = (
 )  # fmt: skip
 
 
+class _Outcome(NamedTuple):
+    """An execution with what its report compares it with.
+
+    Attributes:
+        scene: The scene.
+        result: The execution.
+        bounds: Bounds of the certificate for contacts with limbs and fruit.
+        grasp_s: Time when the goal fruit is grasped [s].
+        goal_bound_m: Bound of the goal fruit's displacement at that time [m]; None without one.
+    """
+
+    scene: Scene
+    result: Execution
+    bounds: ContactBounds
+    grasp_s: float
+    goal_bound_m: float | None
+
+    @property
+    def goal_displacement_m(self) -> float | None:
+        """Displacement of the goal fruit when it is grasped [m]; None without one that hangs."""
+        trees, goal = self.result.trees, self.scene.goal.fruit
+        return None if trees is None or goal is None else trees.displacement_at(goal, self.grasp_s)
+
+
 def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     """Execute the motion and print the result; return the exit status."""
     from hplan.apps.cli.finished_job import FinishedJob
     from hplan.apps.execution.simulated_arm import Plant
     from hplan.apps.execution.simulation import execute, read_motion
     from hplan.scene.file import load_scene
-    from hplan.trajectory.trajectory import Trajectory
 
     path: Path = arguments.trajectory
     job = FinishedJob(path, tours=True) if is_folder(path) else None
@@ -91,19 +115,20 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     result = execute(robot, scene, motion, plant, trees)
     if arguments.page is not None:
         _write_page(robot, scene, result, arguments.page)
-    bounds = _contact_bounds(job)
+    outcome = _Outcome(
+        scene, result, _certified_bounds(job, robot, result.trees), _grasp_time(job, scene, motion),
+        None if job is None else job.report["certificate"].get("goal_displacement_m"),
+    )  # fmt: skip
     report = {"status": "ok" if result.ok else "failed", "scene": scene.name, "robot": robot.name}
-    report |= _execution_report(result, scene, bounds)
-    hand_out(arguments, console, report, lambda: _show(console, arguments, scene, result, bounds))
+    report |= _execution_report(outcome)
+    hand_out(arguments, console, report, lambda: _show(console, arguments, outcome))
     return 0 if result.ok else FAILED
 
 
-def _show(
-    console: Console, arguments: argparse.Namespace, scene: Scene, result: Execution, bounds: ContactBounds
-) -> None:
+def _show(console: Console, arguments: argparse.Namespace, outcome: _Outcome) -> None:
     """Print the result, and whether it is within the tracking error."""
-    _show_execution(console, arguments.trajectory, scene, result, bounds)
-    tracking = tracking_of(arguments)
+    _show_execution(console, arguments.trajectory, outcome)
+    tracking, result = tracking_of(arguments), outcome.result
     if not tracking.is_exact:
         kept = "no joint was" if result.is_within(tracking) else "[bold red]some joint was[/]"
         units = tracking.summary(result.slides)
@@ -127,16 +152,37 @@ def _bending_trees(arguments: argparse.Namespace) -> BendingTrees | None:
     return BendingTrees(**given)
 
 
-def _contact_bounds(job: FinishedJob | None) -> ContactBounds:
-    """Bounds of the certificate by limb or fruit and link; empty without a certificate that has any."""
+def _certified_bounds(job: FinishedJob | None, robot: Robot, trees: TreeResponse | None) -> ContactBounds:
+    """Bounds of the certificate for the measured contacts, by limb or fruit and link.
+
+    MuJoCo joins links that no joint moves relative to each other, so the joint identifies the link.
+    """
     pushes = () if job is None else job.report["certificate"].get("pushes") or ()
-    found: dict[tuple[str, str], Mapping[str, Any]] = {}
+    by_joint: dict[tuple[str, int], dict[str, float]] = {}
     for push in pushes:
         if push.get("force_n") is not None:
-            key = push["obstacle"], push["link"]
-            known = found.get(key, {})
-            found[key] = {name: max(known.get(name, 0.0), push.get(name) or 0.0) for name in _BOUNDS}
+            known = by_joint.setdefault((push["obstacle"], _joint_of(robot, push["link"])), {})
+            for name in _BOUNDS:
+                known[name] = max(known.get(name, 0.0), push.get(name) or 0.0)
+    found = {}
+    for one in () if trees is None else trees.contacts:
+        bound = by_joint.get((one.limb, _joint_of(robot, one.link)))
+        if bound is not None:
+            found[one.limb, one.link] = bound
     return found
+
+
+def _joint_of(robot: Robot, link: str) -> int:
+    """Number of the joint that moves a link."""
+    return int(robot.model.frames[robot.frame_number(link)].parentJoint)
+
+
+def _grasp_time(job: FinishedJob | None, scene: Scene, motion: Any) -> float:
+    """Time when the goal fruit is grasped [s]: that of a job's report, else the end of the motion."""
+    end = float(motion.time[-1] - motion.time[0])
+    if job is None:
+        return end
+    return job.playback(motion).picked.get(scene.goal.fruit or "", end)
 
 
 def _write_page(robot: Robot, scene: Scene, result: Execution, path: Path) -> None:
@@ -148,9 +194,11 @@ def _write_page(robot: Robot, scene: Scene, result: Execution, path: Path) -> No
     write_page(robot, scene, Playback(result.trajectory, bodies=bodies), path)
 
 
-def _execution_report(result: Execution, scene: Scene, bounds: ContactBounds) -> dict[str, Any]:
+def _execution_report(outcome: _Outcome) -> dict[str, Any]:
     """Report of an execution, as JSON values."""
     from dataclasses import asdict
+
+    result, bounds = outcome.result, outcome.bounds
 
     names = (
         "duration_s", "ended_at_goal", "saturated_s", "joint_names", "start_error_rad", "max_tracking_error_rad",
@@ -171,7 +219,11 @@ def _execution_report(result: Execution, scene: Scene, bounds: ContactBounds) ->
             "broken": [asdict(one) for one in trees.broken],
             "knocked_off": [asdict(one) for one in trees.knocked_off],
             "fruit_displacement_m": moved,
-            "goal_displacement_m": trees.fruit_displacement_m.get(scene.goal.fruit or ""),
+            "goal": {
+                "grasp_s": outcome.grasp_s,
+                "displacement_m": outcome.goal_displacement_m,
+                "bound_m": outcome.goal_bound_m,
+            },
             "limits": {key: getattr(trees.wood, key) for key in ("contact_force", "wood_stress_mpa", "fruit_force")},
         }
     return report
@@ -217,10 +269,11 @@ def parser(prog: str) -> argparse.ArgumentParser:
     return parser
 
 
-def _show_execution(console: Console, path: Path, scene: Scene, result: Execution, bounds: ContactBounds) -> None:
+def _show_execution(console: Console, path: Path, outcome: _Outcome) -> None:
     """Print errors and torques of each joint, contacts, the response of the trees and the verdict."""
     from hplan.base.units import joint_unit
 
+    scene, result = outcome.scene, outcome.result
     units = [joint_unit(slides) for slides in result.slides]
     console.print(f"\n[bold]{escape(path)}[/] in [bold]{escape(scene.name)}[/]\n", soft_wrap=True)
     headings = "joint", "path error", "goal error", "required torque", "commanded", "limit"
@@ -264,7 +317,7 @@ def _show_execution(console: Console, path: Path, scene: Scene, result: Executio
     console.print(facts)
     console.print()
     if result.trees is not None:
-        _show_trees(console, scene, result.trees, bounds)
+        _show_trees(console, result.trees, outcome)
     obstacles = list(dict.fromkeys(touch.obstacle for touch in result.contacts))
     more = f" and {len(obstacles) - 3} more" if len(obstacles) > 3 else ""
     touched = f"touched {escape(', '.join(obstacles[:3]))}{more}" if obstacles else "touched nothing"
@@ -274,12 +327,12 @@ def _show_execution(console: Console, path: Path, scene: Scene, result: Executio
     console.print(f"[bold {'green' if result.ok else 'red'}]{touched}, {ended}[/]\n")
 
 
-def _show_trees(console: Console, scene: Scene, trees: TreeResponse, bounds: ContactBounds) -> None:
+def _show_trees(console: Console, trees: TreeResponse, outcome: _Outcome) -> None:
     """Print contacts with limbs and fruit, with the certificate's bounds, and the damage."""
     headings = "limb or fruit", "link", "force", "stress", "deflection", "from", "to"
     table = number_table(headings, (), texts=("limb or fruit", "link"))
     for one in sorted(trees.contacts, key=lambda one: (-one.force_n, one.limb, one.link)):
-        bound = bounds.get((one.limb, one.link), {})
+        bound = outcome.bounds.get((one.limb, one.link), {})
         force = f"{one.force_n:.1f}{_bound_words(bound, 'force_n')} N"
         stress = "" if one.is_fruit else f"{one.stress_mpa:.1f}{_bound_words(bound, 'stress_mpa')} MPa"
         deflection = f"{1e3 * one.deflection_m:.1f} mm"
@@ -297,9 +350,10 @@ def _show_trees(console: Console, scene: Scene, trees: TreeResponse, bounds: Con
     moved = [value for value in trees.fruit_displacement_m.values() if value > _VISIBLE_M]
     if moved:
         facts.add_row("displaced", f"{len(moved)} fruit at the end, up to {1e3 * max(moved):.1f} mm")
-    goal = trees.fruit_displacement_m.get(scene.goal.fruit or "")
+    goal, goal_bound = outcome.goal_displacement_m, outcome.goal_bound_m
     if goal is not None:
-        facts.add_row("goal fruit", f"{1e3 * goal:.1f} mm from its place at the end")
+        bound_words = "" if goal_bound is None else f" of {1e3 * goal_bound:.1f}"
+        facts.add_row("goal fruit", f"displaced by {1e3 * goal:.1f}{bound_words} mm at {outcome.grasp_s:.2f} s")
     if facts.row_count:
         console.print(facts)
         console.print()

@@ -39,6 +39,9 @@ from hplan.scene.wood import GRAVITY, STALK_M, Wood
 #: Position of an element's first joint, as a share of its length; the second one is at 1 minus this.
 GAUSS_POINT: Final = 0.5 - 0.5 / math.sqrt(3.0)
 
+#: Contact bit that no link has; MuJoCo discards geometries of a URDF without any.
+_UNUSED_BIT = 1 << 10
+
 #: Maximum length of an element relative to its distance from the start of its segment.
 _GROWTH = 1.8
 
@@ -262,7 +265,7 @@ class WoodBodies:
                 hung, name, fruit.name, type=self._mujoco.mjtGeom.mjGEOM_SPHERE,
                 pos=center - anchor, size=[fruit.radius, 0.0, 0.0],
                 mass=self.wood.fruit_density * 4.0 / 3.0 * math.pi * fruit.radius**3,
-                **({"conaffinity": 0} if fruit.name in without_contact else {}),
+                **({"conaffinity": _UNUSED_BIT} if fruit.name in without_contact else {}),
             )  # fmt: skip
             self.fruits.append(fruit)
 

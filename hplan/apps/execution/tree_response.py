@@ -78,7 +78,8 @@ class TreeResponse(Record):
         contacts: Contacts with limbs and hung fruit, in order of first touch.
         broken: Limbs that broke.
         knocked_off: Fruit that was knocked off.
-        fruit_displacement_m: Displacement of each hung fruit at the end [m], by name.
+        hung: Names of the fruit that hung at the start.
+        fruit_displacement_m: Displacement of each fruit that still hangs at the end of the motion [m], by name.
         motions: Motions of limbs and fruit.
     """
 
@@ -86,6 +87,7 @@ class TreeResponse(Record):
     contacts: tuple[LimbContact, ...]
     broken: tuple[Damage, ...]
     knocked_off: tuple[Damage, ...]
+    hung: frozenset[str]
     fruit_displacement_m: Mapping[str, float]
     motions: BodyMotions
 
@@ -93,6 +95,21 @@ class TreeResponse(Record):
     def ok(self) -> bool:
         """True if no limit was exceeded, no limb broke and no fruit was knocked off."""
         return not self.broken and not self.knocked_off and all(one.is_within(self.wood) for one in self.contacts)
+
+    def displacement_at(self, fruit: str, time_s: float) -> float | None:
+        """Displacement of a fruit that hung at the start [m]; None for other fruit.
+
+        Args:
+            fruit: Name of the fruit.
+            time_s: Time, interpolated between recorded poses [s].
+        """
+        if fruit not in self.hung:
+            return None
+        for motion in self.motions.fruits:
+            if fruit in motion.names:
+                place = [float(np.interp(time_s, self.motions.time, axis)) for axis in motion.position.T]
+                return float(np.linalg.norm(place - motion.position[0]))
+        return 0.0
 
 
 class TreeMonitor:
@@ -281,6 +298,7 @@ class TreeMonitor:
             contacts=tuple(self._contacts.values()),
             broken=tuple(self._broken.values()),
             knocked_off=tuple(self._knocked_off.values()),
+            hung=frozenset(self._fruit_rows),
             fruit_displacement_m=dict(fruit_displacement_m),
             motions=self._motions(),
         )

@@ -17,6 +17,7 @@ from hplan.apps.execution.bending_wood import BendingTrees, WoodBodies
 from hplan.apps.execution.simulated_arm import import_mujoco
 from hplan.apps.execution.simulation import Execution, execute
 from hplan.apps.execution.tree_response import TreeMonitor
+from hplan.apps.execution.wind import Wind
 from hplan.apps.view.body_motions import limb_clips
 from hplan.apps.view.page import render_page
 from hplan.apps.view.playback import Playback
@@ -156,6 +157,29 @@ def test_limbs_are_found_in_a_scene_without_wood(robot: Robot) -> None:
         execute(robot, task(START, GOAL, bare[:1]), motion, trees=BendingTrees())
 
 
+def test_steady_wind_bends_a_cantilever_like_a_uniform_load() -> None:
+    limbs = Limbs.of([TRUNK, SHOOT])
+    wind = Wind(speed_m_s=2.0, intensity=0.0, heading_deg=90.0, leaf_width_m=0.02)
+    limb = Pushed(limbs, 1, 0.8, BendingTrees(wind=wind))
+    before = limb.point
+    for _ in range(20):
+        limb.monitor.blow()
+        limb.mujoco.mj_step(limb.model, limb.data)
+    limb.mujoco.mj_forward(limb.model, limb.data)
+    load = 0.5 * 1.2 * 2.0**2 * (2.0 * 0.005 + 0.02)  # newton per metre
+    rigidity = 5e9 * 0.25 * math.pi * 0.005**4
+    np.testing.assert_allclose(limb.point - before, [0.0, load * 0.8**4 / (8.0 * rigidity), 0.0], atol=5e-4)
+
+
+def test_gusts_have_the_given_deviation_and_length_scale() -> None:
+    wind = Wind(speed_m_s=5.0, intensity=0.2, length_scale_m=10.0, seed=1)
+    speeds = wind.speeds(4000.0, 0.1)
+    assert np.mean(speeds) == pytest.approx(5.0, rel=0.05)
+    assert np.std(speeds) == pytest.approx(1.0, rel=0.1)
+    lag = round(10.0 / 5.0 / 0.1)  # correlation falls to 1/e in the time of a length scale
+    assert np.corrcoef(speeds[:-lag], speeds[lag:])[0, 1] == pytest.approx(math.exp(-1.0), abs=0.1)
+
+
 # The page.
 
 
@@ -217,7 +241,9 @@ def test_command(small_orchard: Path, robot: Robot, tmp_path: Path, capsys: pyte
     assert all(one["limb"] in text and one["force_n"] > 0.0 for one in trees["contacts"])
     assert {"broken", "knocked_off", "goal", "limits"} <= set(trees)
     assert any("/limbs/" in path for path in objects(commands_of(page.read_text(encoding="utf-8"))))
-    softer = load_script("execute").main([*command, "--youngs-modulus", "0.7", "--json", "--wood-strength", "1000"])
+    softer = load_script("execute").main(
+        [*command, "--youngs-modulus", "0.7", "--json", "--wood-strength", "1000", "--wind", "1", "90"]
+    )
     soft = json.loads(capsys.readouterr().out)
     assert softer in (0, 5)
     assert not soft["trees"]["broken"]

@@ -68,6 +68,8 @@ _TREE_OPTIONS = (
     ("wood_strength_mpa", "--wood-strength", "bending stress in MPa at which a limb breaks (default: 40)", "MPA"),
     ("stalk_strength_n", "--stalk-strength", "force in newtons at which fruit is knocked off (default: 20)", "N"),
     ("friction", "--friction", "coefficient of friction between the arm and limbs or fruit (default: 0)", "MU"),
+    ("wind", "--wind", "mean speed of a gusty wind in m/s, and its heading in degrees from the x axis",
+        ("SPEED", "DEG")),
 )  # fmt: skip
 
 
@@ -142,6 +144,7 @@ def _bending_trees(arguments: argparse.Namespace) -> BendingTrees | None:
         OptionError: A property is given without `--bending`, or is out of its range.
     """
     from hplan.apps.execution.bending_wood import BendingTrees
+    from hplan.apps.execution.wind import Wind
 
     given = {name: getattr(arguments, name) for name, *_ in _TREE_OPTIONS if getattr(arguments, name) is not None}
     if not arguments.bending:
@@ -149,6 +152,9 @@ def _bending_trees(arguments: argparse.Namespace) -> BendingTrees | None:
             if name in given:
                 raise OptionError(option, given[name], "no value without --bending")
         return None
+    if "wind" in given:
+        speed, heading = given["wind"]
+        given["wind"] = Wind(speed_m_s=speed, heading_deg=heading)
     return BendingTrees(**given)
 
 
@@ -260,7 +266,8 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add("--bending", action="store_true", help="simulate limbs that bend and fruit that hangs; in a scene without "
         "limbs they are found by proximity")  # fmt: skip
     for name, option, about, metavar in _TREE_OPTIONS:
-        add(option, dest=name, type=float, metavar=metavar, help=f"with --bending: {about}")
+        count = 2 if isinstance(metavar, tuple) else None
+        add(option, dest=name, type=float, nargs=count, metavar=metavar, help=f"with --bending: {about}")
     add("--page", type=Path, metavar="FILE", help="write an animated page of the simulated motion to this file")
     add("--report", type=Path, metavar="FILE", help="write the result as JSON to this file")
     add_shared(parser, "force")

@@ -30,6 +30,7 @@ import numpy as np
 from pydantic import Field
 from scipy.sparse.linalg import eigsh
 
+from hplan.apps.execution.wind import Wind
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.checked import NotNegative, Options, Positive
 from hplan.scene.limbs import TWIST_RATIO, Limbs
@@ -63,6 +64,7 @@ class BendingTrees(Options):
         wood_strength_mpa: Bending stress at which a limb counts as broken [MPa].
         stalk_strength_n: Force at which a stalk breaks [N].
         friction: Coefficient of friction between the arm and wood or fruit.
+        wind: Wind on limbs that bend and fruit that hangs; None for none.
 
     Examples:
         >>> from hplan.apps.execution.bending_wood import BendingTrees
@@ -75,6 +77,7 @@ class BendingTrees(Options):
     wood_strength_mpa: Positive = 40.0
     stalk_strength_n: Positive = 20.0
     friction: NotNegative = 0.0
+    wind: Wind | None = None
 
     def youngs_modulus(self, wood: Wood) -> float:
         """Young's modulus [Pa]."""

@@ -368,6 +368,8 @@ class SimulatedArm:
         """
         limit = self.robot.torque_limit
         self._data.ctrl[self._motors] = np.clip(torque, -limit, limit)
+        if self.trees is not None:
+            self.trees.blow()
         for _ in range(_SUBSTEPS):
             self._mujoco.mj_step(self._model, self._data)
             self._note_contacts()

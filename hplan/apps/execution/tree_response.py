@@ -12,7 +12,7 @@ import numpy as np
 
 from hplan.apps.execution.bending_wood import GAUSS_POINT, WoodBodies
 from hplan.apps.view.body_motions import BodyMotion, BodyMotions
-from hplan.base.arrays import FloatArray, Record, readonly
+from hplan.base.arrays import FloatArray, IntArray, Record, readonly
 from hplan.scene.wood import GRAVITY, Wood
 
 #: Extrapolation of the moments at an element's two joints to its start.
@@ -20,6 +20,9 @@ _TO_START = GAUSS_POINT / (1.0 - 2.0 * GAUSS_POINT)
 
 #: Stresses and stalks are watched for this time after a contact [s].
 _SETTLES_S = 1.0
+
+#: Time for which the wind has one speed [s].
+_GUST_S = 0.01
 
 
 @dataclass(frozen=True)
@@ -142,6 +145,7 @@ class TreeMonitor:
         names = [fruit.name for fruit in bodies.fruits]
         self._fruit_ids = self._body_ids[len(joints) :]
         self._fruit_geoms = np.array([model.geom(f"fruit:{name}").id for name in names], dtype=np.int64)
+        self._fruit_radius = np.array([fruit.radius for fruit in bodies.fruits])
         self._fruit_rows = {name: row for row, name in enumerate(names)}
         self._limb_rows = {name: row for row, name in enumerate(bodies.limbs.names)}
         self.measured = frozenset(bodies.obstacle_of.values())
@@ -149,6 +153,9 @@ class TreeMonitor:
         self._rest_of = {
             model.geom(name).id: np.array(data.xpos[model.geom(name).bodyid[0]]) for name in bodies.obstacle_of
         }
+        self._pieces = self._pieces_of_bodies()
+        #: Speeds of the wind at multiples of `_GUST_S`.
+        self._wind_speeds = np.zeros(0)
         self.max_stress_pa = np.zeros(len(bodies.limbs.names))
         self._stress = self.max_stress_pa.copy()
         self._last_contact_s = -math.inf
@@ -169,7 +176,7 @@ class TreeMonitor:
         """
         if contacts:
             self._last_contact_s = float(self._data.time)
-        elif self._data.time > self._last_contact_s + _SETTLES_S:
+        elif self.bodies.trees.wind is None and self._data.time > self._last_contact_s + _SETTLES_S:
             return
         self._note_stress()
         for (link, obstacle), numbers in contacts.items():
@@ -254,6 +261,42 @@ class TreeMonitor:
             remaining = 1e-4  # MuJoCo refuses bodies without mass
             self._model.body_mass[body] *= remaining
             self._model.body_inertia[body] *= remaining
+
+    def blow(self) -> None:
+        """Apply the wind of the present time to limbs and fruit."""
+        wind = self.bodies.trees.wind
+        if wind is None:
+            return
+        row = int(self._data.time / _GUST_S)
+        while row >= len(self._wind_speeds):
+            self._wind_speeds = wind.speeds(max(10.0, 2.0 * len(self._wind_speeds) * _GUST_S), _GUST_S)
+        speed = float(self._wind_speeds[row])
+        body, local, axis, length, radius = self._pieces
+        turns = self._data.xmat[body].reshape(-1, 3, 3)
+        forces = wind.limb_drag(np.einsum("nij,nj->ni", turns, axis), length, radius, speed)
+        levers = np.einsum("nij,nj->ni", turns, local) + self._data.xpos[body] - self._data.xipos[body]
+        applied = self._data.xfrc_applied
+        applied[self._body_ids] = 0.0
+        np.add.at(applied, body, np.hstack([forces, np.cross(levers, forces)]))
+        applied[self._fruit_ids, :3] = wind.fruit_drag(self._fruit_radius, speed)
+        released = [self._fruit_ids[self._fruit_rows[name]] for name in self._released]
+        applied[released] = 0.0
+
+    def _pieces_of_bodies(self) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Body, middle, axis, length and radius of each capsule that moves, relative to its body."""
+        shapes = {body: shape for body, shape in self._shapes().items() if body > 0}
+        fruit = set(self._fruit_ids.tolist())
+        rows = [
+            (body, start, end, radius)
+            for body, (_, starts, ends, radii) in shapes.items()
+            if body not in fruit
+            for start, end, radius in zip(starts, ends, radii, strict=True)
+        ]
+        body = np.array([row[0] for row in rows], dtype=np.int64)
+        start, end = (np.array([row[at] for row in rows]).reshape(-1, 3) for at in (1, 2))
+        length = np.linalg.norm(end - start, axis=1)
+        axis = (end - start) / np.maximum(length, 1e-12)[:, None]
+        return body, 0.5 * (start + end), axis, length, np.array([row[3] for row in rows])
 
     # Motions.
 

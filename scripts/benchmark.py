@@ -42,6 +42,8 @@ STUDIES = {
     "camera": "camera:CAMERA",
     "panda": "arms:PANDA",
     "random": "arms:RANDOM",
+    "others": "others:OTHERS",
+    "franka": "franka:FRANKA",
     "cells": "cells:CELLS",
     "cell_trees": "cell_trees:CELL_TREES",
     "wood_static": "wood:WOOD_STATIC",

@@ -85,7 +85,14 @@ BASES = (
 
 def missing_tool() -> str:
     """What the generation lacks here; empty if nothing."""
-    for module in ("rclpy", "shape_msgs", "rosidl_generator_py", "rosidl_typesupport_fastrtps_c", "rosidl_adapter", "lark"):
+    for module in (
+        "rclpy",
+        "shape_msgs",
+        "rosidl_generator_py",
+        "rosidl_typesupport_fastrtps_c",
+        "rosidl_adapter",
+        "lark",
+    ):
         if importlib.util.find_spec(module) is None:
             return f"the Python package {module} is not installed (pip install 'hplan[ros2]')"
     if importlib.util.find_spec("em") is None:

@@ -13,9 +13,11 @@ from script_loader import load_script
 from studies import harness, reference
 from studies import trees as among_trees
 from studies.harness import Study, read_rows
+from studies.outside import TimedMotion
 from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
 
 from hplan.errors import InputError
+from hplan.scene.model import Scene
 
 script = load_script("benchmark")
 
@@ -139,3 +141,29 @@ def test_trees_that_bend(tmp_path: Path) -> None:
     moving = rows_of("wood_moving", tmp_path, "--trees", trees, "--count", "4")
     assert all(0.0 < row["force_ratio"] < 1.0 for row in moving if row["touched"])
     assert any(row["touched"] for row in moving)
+
+
+def test_motions_of_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from studies import others
+
+    monkeypatch.setattr(others, "ROBOTS", ("ur5",))
+    rows = rows_of("others", tmp_path)
+    assert [row["planner"] for row in rows] == [f"{name}, ur5" for name in others.PLANNERS]
+    assert any(row["solved"] for row in rows)
+    assert not any(row["fault"] for row in rows if row["solved"])
+    # Motions that go straight, through what there is: both judges see the contacts.
+    monkeypatch.setattr(others, "_motion", lambda robot, scene, *_: straight_motion(scene))
+    straight = [others._row(harness.StudyConfig(), ("ur5", number, "straight")) for number in range(3)]
+    assert any(row["collides"] for row in straight)
+    assert not any(row["collides"] and row["verified"] for row in straight)
+
+
+def straight_motion(scene: Scene) -> TimedMotion:
+    start, goal = scene.start.configuration, scene.goal.configuration
+    return TimedMotion(4.0, lambda t: start + np.outer(t / 4.0, goal - start))
+
+
+def test_streams_by_the_rules_of_libfranka(tmp_path: Path) -> None:
+    rows = rows_of("franka", tmp_path, "--effort", "quick")
+    assert {row["kind"] for row in rows} >= {"motion"}
+    assert all(row["accepted"] for row in rows)

@@ -69,6 +69,8 @@ class OutputOptions(Options):
         controller: Name of the controller's action.
         joint_prefix: Prefix of the joints' names in messages.
         base_frame: Frame of the robot's base in `/tf`; empty for its root link.
+        points_reliable: Whether clouds are requested without losses; no clouds then arrive from a camera that publishes
+            with best effort.
         tf_tolerance_s: Maximum difference between the times of a cloud and of its transforms [s].
         replan: Whether clouds and planning scenes may change the running motion.
         fetch_scene: Whether the node asks `get_planning_scene` for the whole planning scene at the start.
@@ -80,6 +82,7 @@ class OutputOptions(Options):
     controller: str = "joint_trajectory_controller/follow_joint_trajectory"
     joint_prefix: str = ""
     base_frame: str = ""
+    points_reliable: bool = False
     tf_tolerance_s: NotNegative = 0.2
     replan: bool = True
     fetch_scene: bool = True
@@ -125,8 +128,10 @@ def make_node() -> Any:
                 self.take_obstacles()
             sensor = rclpy.qos.qos_profile_sensor_data
             self.create_subscription(JointState, "joint_states", self.see_joints, sensor)
-            self.create_subscription(PointCloud2, "points", self.see_points, rclpy.qos.QoSProfile(
-                depth=1, reliability=rclpy.qos.ReliabilityPolicy.BEST_EFFORT))  # fmt: skip
+            policy = rclpy.qos.ReliabilityPolicy
+            reliability = policy.RELIABLE if self.of_output.points_reliable else policy.BEST_EFFORT
+            newest = rclpy.qos.QoSProfile(depth=1, reliability=reliability)
+            self.create_subscription(PointCloud2, "points", self.see_points, newest)
             self._watch_frames(rclpy)
             self.create_subscription(JointState, "~/goal", self.see_goal, DEPTH)
             self.create_subscription(PoseStamped, "~/goal_pose", self.see_goal_pose, DEPTH)

@@ -19,7 +19,7 @@ from hplan.certificate.retimed_certificate import CertifiedMotion
 from hplan.errors import HplanError, InputError, NotOnMotionError
 from hplan.online.frame import CloudOptions, FrameReport
 from hplan.online.planner import Planner
-from hplan.planning.options import PlanOptions
+from hplan.planning.options import EffortName, PlanOptions
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
@@ -36,6 +36,7 @@ class SessionOptions(Options):
 
     Attributes:
         speed: Fraction of the velocity limits to use.
+        effort: Effort preset of plans: `quick`, `default` or `best`.
         clearance_m: Required clearance [m]; the scene's, and the padding of MoveIt's links, count if they are larger.
         tracking_error: Tracking error of each joint at rest that certificates cover [rad; m for prismatic joints]; the
             arm must be this near to the running motion for a splice.
@@ -44,6 +45,7 @@ class SessionOptions(Options):
         lead_s: Time from a plan to its start, for the way to the controller [s].
         ahead_s: Time from a frame to the start of a splice, in which the new motion is planned and sent [s].
         radius_m: Radius of the ball about each point of a cloud [m].
+        growth_m: Maximum growth of a ball that merges several points [m]; fewer balls, faster plans.
         keep_s: Hidden points are remembered this long [s].
         max_frame_age_s: Maximum age of the last cloud for a plan [s]; 0 for no limit.
         max_state_age_s: Maximum age of a joint's position [s].
@@ -52,6 +54,7 @@ class SessionOptions(Options):
     """
 
     speed: Positive = 1.0
+    effort: EffortName = "quick"
     clearance_m: NotNegative = 0.0
     tracking_error: NotNegative = 0.005
     tracking_delay_s: NotNegative = 0.005
@@ -59,6 +62,7 @@ class SessionOptions(Options):
     lead_s: NotNegative = 0.05
     ahead_s: Positive = 0.2
     radius_m: Positive = 0.01
+    growth_m: Positive = 0.01
     keep_s: NotNegative = 0.0
     max_frame_age_s: NotNegative = 0.0
     max_state_age_s: Positive = 0.5
@@ -128,6 +132,7 @@ class Session:
         self._clearance_m = max(options.clearance_m, scene.clearance)
         plans = PlanOptions(
             speed=options.speed,
+            effort=options.effort,
             tracking_error=options.tracking_error,
             tracking_delay_s=options.tracking_delay_s,
             deadline_s=options.deadline_s,
@@ -181,6 +186,7 @@ class Session:
         options = self.options
         joints = self.arm.configuration(self._clock())
         cloud = CloudOptions(
+            growth_m=options.growth_m,
             arm_padding_m=options.arm_padding_m,
             allow_empty=options.allow_empty,
             max_lost=1.0 if options.allow_empty else 0.5,

@@ -1,0 +1,161 @@
+"""Motions of other planners: verdicts of `hplan ros judge` beside an outside judge.
+
+In the random scenes of `studies.arms`, OMPL's planners and roboplan plan a motion. OMPL checks configurations at
+MoveIt's default resolution; its path is simplified, filled in to `FILL_RAD` and timed by toppra. roboplan shortens and
+times its path itself. What a controller would receive is a `JointTrajectory` with positions and velocities at 100 Hz;
+it runs the cubics between them. Both judges look at these cubics: hplan at all times, with its shapes of the arm, and
+Pinocchio and coal every half millisecond, with the meshes of the URDF.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from collections.abc import Iterable
+
+import numpy as np
+from studies.arms import KINDS, random_scene
+from studies.harness import Row, Study, StudyConfig
+from studies.outside import TimedMotion, _found, arm_of, obstacles_of
+from studies.peers import ompl_path, seed_ompl, toppra_motion, world_of
+from studies.validation.judge import TICK_S, SampledMotion
+
+from hplan.apps.ros.joint_messages import from_joint_trajectory
+from hplan.apps.ros.judge import Judge, JudgeOptions, Verdict
+from hplan.base.arrays import FloatArray
+from hplan.robot.model import Robot, load_robot
+from hplan.scene.model import Scene
+from hplan.trajectory.trajectory import Trajectory
+
+ROBOTS, PLANNERS = ("panda", "ur5"), ("RRTConnect", "BITstar", "roboplan")
+
+#: MoveIt's default distance between checked configurations, as a fraction of the space's extent.
+MOVEIT_RESOLUTION = 0.005
+
+#: CPU time to find a path [s]: BIT* uses all of it. Spacing of waypoints for toppra [rad]. Samples of a message [1/s].
+FIND_S, FILL_RAD, RATE_HZ = {"RRTConnect": 2.0, "BITstar": 0.3}, 0.1, 100.0
+
+#: Distance that a refused motion must have to count as free [m], and the time around the refusal that is measured [s].
+SPARE_M, AROUND_S = 1e-3, 0.02
+
+
+def _problems(config: StudyConfig) -> Iterable[tuple[str, int, str]]:
+    """Robot, number of the scene, and planner; roboplan takes no clouds."""
+    found = itertools.product(config.numbers, ROBOTS, PLANNERS)
+    return [
+        (robot, number, planner)
+        for number, robot, planner in found
+        if planner != "roboplan" or not KINDS[number % len(KINDS)][3]
+    ]
+
+
+@functools.cache
+def _robot(name: str) -> Robot:
+    return load_robot(name)
+
+
+@functools.lru_cache(maxsize=1)
+def _scene(name: str, seed: int, number: int) -> Scene:
+    return random_scene(_robot(name), seed, number)
+
+
+def _motion(robot: Robot, scene: Scene, planner: str, seed: int) -> TimedMotion | None:
+    """The motion of a planner; None if it finds none."""
+    start, goal = scene.start.configuration, scene.goal.configuration
+    if planner == "roboplan":
+        from studies.roboplan_peer import RoboplanArm
+
+        return RoboplanArm(robot, scene, seed).motion(start, goal)
+    seed_ompl(1)
+    world = world_of(robot, scene)
+    path = ompl_path(world, scene, goal, planner=planner, seconds=FIND_S[planner], resolution=MOVEIT_RESOLUTION)
+    return None if path is None else toppra_motion(robot, _filled(path))
+
+
+def _filled(path: FloatArray) -> FloatArray:
+    """The path with waypoints at most `FILL_RAD` apart: toppra's spline then stays near the straight lines."""
+    parts = [
+        np.linspace(a, b, max(1, math.ceil(np.linalg.norm(b - a) / FILL_RAD)), endpoint=False)
+        for a, b in itertools.pairwise(path)
+    ]
+    return np.concatenate([*parts, path[-1:]])
+
+
+def _message(robot: Robot, motion: TimedMotion) -> dict[str, object]:
+    """The motion as a controller receives it."""
+    count = max(2, math.ceil(motion.duration * RATE_HZ) + 1)
+    clock = np.linspace(0.0, motion.duration, count)
+    q = motion.positions(clock)
+    velocity = np.gradient(q, clock, axis=0, edge_order=2 if count > 2 else 1)
+    velocity[[0, -1]] = 0.0
+    stamps = np.round(1e9 * clock).astype(np.int64).tolist()
+    points = [
+        {"positions": p, "velocities": v, "time_from_start": {"sec": at // 10**9, "nanosec": at % 10**9}}
+        for p, v, at in zip(q.tolist(), velocity.tolist(), stamps, strict=True)
+    ]
+    return {"joint_names": list(robot.joint_names), "points": points}
+
+
+def _sampled(robot: Robot, motion: Trajectory, clock: FloatArray) -> SampledMotion:
+    return SampledMotion(robot.joint_names, clock, motion.positions(clock))
+
+
+def _is_near(robot: Robot, scene: Scene, motion: Trajectory, verdict: Verdict) -> bool:
+    """True if the arm is within `SPARE_M` of anything around the time of a refusal, by the URDF's meshes."""
+    at_s = verdict.time_s or 0.0
+    clock = np.clip(np.arange(at_s - AROUND_S, at_s + AROUND_S, 2.0 * TICK_S), 0.0, motion.duration)
+    arm, obstacles = arm_of(robot), obstacles_of(scene)
+    sampled = _sampled(robot, motion, clock)
+    for q in arm.configurations(sampled.names, sampled.values):
+        places = arm.places(q)
+        if any(arm.own_distance(pair, places, SPARE_M) <= SPARE_M for pair in arm.own_pairs):
+            return True
+        for obstacle in obstacles:
+            at = obstacle.poses(None, np.zeros(1))[0]
+            if any(arm.obstacle_distance(k, places[k], obstacle, at, SPARE_M) <= SPARE_M for k in range(len(places))):
+                return True
+    return False
+
+
+def _row(config: StudyConfig, problem: tuple[str, int, str]) -> Row:
+    """Both judges on one motion of a planner."""
+    name, number, planner = problem
+    robot, scene = _robot(name), _scene(name, config.seed, number)
+    motion = _motion(robot, scene, planner, config.seed + number + 1)
+    row: Row = {"name": f"{name} {scene.name} {planner}", "planner": f"{planner}, {name}", "solved": motion is not None}
+    if motion is None:
+        return row
+    message = _message(robot, motion)
+    verdict = Judge(robot, scene, JudgeOptions(limits=(), moving_ends=True)).judge(message)
+    controlled = from_joint_trajectory(message, robot=robot)
+    ticks = np.append(np.arange(0.0, controlled.duration, TICK_S), controlled.duration)
+    found = _found(robot, scene, _sampled(robot, controlled, ticks))
+    free = not verdict.verified and not found and not _is_near(robot, scene, controlled, verdict)
+    return row | {
+        "verified": verdict.verified,
+        "collides": bool(found),
+        "depth_mm": 1e3 * max(contact.depth_m for contact in found) if found else None,
+        "false_verified": verdict.verified and bool(found),
+        "refused": not verdict.verified and not found,
+        "refused_free": free,
+        "judged_ms": verdict.judged_ms,
+        "duration_s": controlled.duration,
+        "fault": verdict.verified and bool(found),
+    }
+
+
+OTHERS = Study(
+    "others",
+    "motions of OMPL and roboplan in random scenes: verdicts beside coal every half millisecond",
+    _row,
+    (
+        *("solved", "verified", "collides", "depth_mm", "false_verified", "refused", "refused_free", "judged_ms"),
+        "duration_s",
+    ),
+    problems=_problems,
+    by="planner",
+    count=(200, 1),
+    peers=(),
+    warm=1,
+)

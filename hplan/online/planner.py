@@ -53,7 +53,7 @@ from hplan.online.frame_check import (
 from hplan.online.frame_kernels import Scratch
 from hplan.online.seen_space import UNSEEN, NextView, SeenSpace, shows, sweep
 from hplan.online.splice import RunningMotion, SplicedResult
-from hplan.planning.motion import Transit
+from hplan.planning.motion import Motion
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task, solve_scene
 from hplan.planning.problem import Problem
@@ -344,7 +344,7 @@ class Planner:
             self.last, self._is_told = replace(self.last, begins_s=float(at_s)), True
             return self.last
 
-    def _from_rest(self, begins_s: float | None, before: Transit | None) -> PlanResult:
+    def _from_rest(self, begins_s: float | None, before: Motion | None) -> PlanResult:
         """Plan a motion that has not started."""
         scene, options = self.scene, self.options
         begin = self._begin_of(begins_s, scene)

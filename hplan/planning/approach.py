@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Final, TypeVar
+from typing import Final
 
 import numpy as np
 
@@ -32,8 +32,6 @@ from hplan.trajectory.trajectory import Trajectory
 #: Extra starting distance of a non-stop approach beyond the stand-off, as a fraction of the approach length. A larger
 #: value allows a higher speed at the stand-off, but lengthens the transit.
 LEADS: Final = (0.02, 0.05, 0.15, 0.3, 0.45)
-
-_Transit = TypeVar("_Transit", bound=Motion)
 
 
 def retreat_of(approach: Motion) -> Motion:
@@ -73,7 +71,9 @@ class Approach:
         path = self.grasp.path(self.problem.robot, self.problem.scene.locked_joints)
         if path is None:
             return None
-        return Motion("approach", *certified_trajectory(self.touching_problem, path, self._contact_stretches))
+        return Motion(
+            "approach", *certified_trajectory(self.touching_problem, path, self._contact_stretches), self.problem
+        )
 
     @property
     def motions(self) -> tuple[Motion, ...]:
@@ -128,7 +128,7 @@ class Approach:
             shown = certificate_of(
                 self.touching_problem, approach, self._contact_stretches(approach), rest_to_rest=False
             )
-            self._shown[id(approach)] = Motion("approach", approach, shown) if shown.verified else None
+            self._shown[id(approach)] = Motion("approach", approach, shown, self.problem) if shown.verified else None
         return self._shown[id(approach)]
 
     def _non_stop(self, longer: float) -> Trajectory | None:
@@ -171,8 +171,8 @@ def _line_deviation(robot: Robot, approach: Trajectory, grasp: Grasp) -> float:
 
 
 def blend(
-    problem: Problem, transit: _Transit, before: Approach | None, after: Approach | None
-) -> tuple[Motion | None, _Transit, Motion | None] | None:
+    problem: Problem, transit: Motion, before: Approach | None, after: Approach | None
+) -> tuple[Motion | None, Motion, Motion | None] | None:
     """The fastest motion without a stop at the stand-offs.
 
     None if it is not faster than the motion with stops.
@@ -232,10 +232,10 @@ def blend(
 
 def _certify_blend(
     problem: Problem,
-    transit: _Transit,
+    transit: Motion,
     spline: TimedSpline,
     sides: Sequence[tuple[Approach | None, Trajectory | None]],
-) -> tuple[Motion | None, _Transit, Motion | None] | None:
+) -> tuple[Motion | None, Motion, Motion | None] | None:
     """The motions with their certificates; None if one is not certified."""
     shown: list[Motion | None] = []
     for side, approach in sides:
@@ -248,7 +248,7 @@ def _certify_blend(
         return None
     leaving, coming = shown
     retreat = None if leaving is None else retreat_of(leaving)
-    return retreat, transit.with_trajectory(trajectory, certificate, spline.path), coming
+    return retreat, replace(transit, trajectory=trajectory, certificate=certificate, path=spline.path), coming
 
 
 def _blend_between(

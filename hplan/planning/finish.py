@@ -31,7 +31,7 @@ from hplan.errors import (
 from hplan.geometry.polyline import path_length
 from hplan.optimization.repair import pushed_clear, repair
 from hplan.optimization.smooth_path import SMALLEST_FRACTION
-from hplan.planning.motion import Plan, Transit, certified_trajectory, quickest
+from hplan.planning.motion import Motion, Plan, certified_trajectory, quickest
 from hplan.planning.options import PlanOptions
 from hplan.planning.path_finder import Path
 from hplan.planning.plan import check_task, plan_result
@@ -181,7 +181,7 @@ def _shown_clear(problem: Problem, path: GivenPath) -> tuple[FloatArray, tuple[i
     return clear, segments
 
 
-def _smooth_path(problem: Problem, waypoints: FloatArray) -> Transit:
+def _smooth_path(problem: Problem, waypoints: FloatArray) -> Motion:
     """The motion along the path, shortened and smoothed.
 
     If it cannot be certified, the motion along the path with rounded corners.
@@ -198,7 +198,7 @@ def _smooth_path(problem: Problem, waypoints: FloatArray) -> Transit:
 LARGEST_ROUNDING = 0.02
 
 
-def _motion_with_round_corners(problem: Problem, waypoints: FloatArray, deviation_rad: float) -> Transit:
+def _motion_with_round_corners(problem: Problem, waypoints: FloatArray, deviation_rad: float) -> Motion:
     """The motion along the path with its corners rounded.
 
     The rounding is as large as can be verified collision-free.
@@ -220,7 +220,7 @@ def _motion_with_round_corners(problem: Problem, waypoints: FloatArray, deviatio
             allowed = max(0.5 * allowed, LEAST_DEVIATION)
             path = rounded_path(waypoints, allowed)
     trajectory, certificate = certified_trajectory(problem, path, grid=corner_grid(path))
-    return Transit("transit", trajectory, certificate, problem, waypoints, path, "given")
+    return Motion("transit", trajectory, certificate, problem, waypoints, path, "given")
 
 
 #: Waypoints closer to each other than this in every joint are one; the same holds for path ends and the scene's start

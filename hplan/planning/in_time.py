@@ -20,7 +20,7 @@ from hplan.base.arrays import FloatArray
 from hplan.certificate.certificate import Certificate, certify
 from hplan.certificate.start_state import start_state
 from hplan.errors import HplanError, MovingObstacleError, ObstacleInTimeError, TimingError
-from hplan.planning.motion import Motion, Plan, Solver, best_of
+from hplan.planning.motion import Plan, Solver, best_of
 from hplan.planning.problem import Problem
 from hplan.planning.schedule import STEP_S, MovingField, PathInTime, earliest_schedule, room_to_change
 from hplan.planning.start_in_motion import after_stop, stops
@@ -64,23 +64,23 @@ def _plans_in_time(problem: Problem, solve: Solver, stop: Trajectory | None) -> 
         yield after_stop(
             stops(robot, state, 1.0 / options.rate_hz, stop),
             lambda motion: certified_in_time(problem, motion, check_ends=False),
-            lambda stopped: stopping_first(problem, solve, stopped),
+            lambda stopped, _: stopping_first(problem, solve, stopped),
         )
 
 
-def stopping_first(problem: Problem, solve: Solver, stop: Motion) -> Plan | None:
+def stopping_first(problem: Problem, solve: Solver, stop: Trajectory) -> Plan | None:
     """A stop and a plan from its end; None if not certified.
 
     The plan starts with the moving obstacles as they are at the end of the stop.
     """
-    stop_s = stop.trajectory.duration
-    rest = Start(joints_rad=tuple(stop.trajectory.position[-1].tolist()))
+    stop_s = stop.duration
+    rest = Start(joints_rad=tuple(stop.position[-1].tolist()))
     after = problem.scene.starting_at(stop_s).copy_unchecked({"start": rest})
     plan = best_of(solve(Problem.from_scene(problem.robot, after, problem.options)))
     later, trajectory, _ = plan.join_phases
     first, *others = (phase.delay(stop_s) for phase in later)
     phases = (replace(first, start_s=0.0), *others)
-    trajectory = join_trajectories([stop.trajectory, trajectory])
+    trajectory = join_trajectories([stop, trajectory])
     certificate = certified_in_time(problem, trajectory, direct=len(phases) == 1)
     if not certificate.verified:
         return None

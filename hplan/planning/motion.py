@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Self, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -42,45 +42,30 @@ class Motion(Record):
         name: Name of the phase.
         trajectory: The timed motion.
         certificate: The certificate of the trajectory.
+        problem: Arm, world and options; of a transit also its start, goal and joint limits.
+        waypoints: (m, dof) the polyline before post-processing; m = 0 for an approach, a retreat or a rest.
+        path: The smooth path; None for an empty or reversed motion. If path and timing were optimized together, its
+            parameter is time.
+        origin: The source of the polyline.
+        search: The grid search that found the polyline; None for none.
     """
 
     name: str
     trajectory: Trajectory
     certificate: Certificate
+    problem: Problem
+    waypoints: FloatArray = field(default_factory=lambda: frozen(np.zeros((0, 0))))
+    path: SplinePath | None = None
+    origin: Origin = "none"
+    search: GridSearchRecord | None = None
 
     @property
     def reversal(self) -> Motion:
         """The motion reversed in time, with the same distances and torques."""
-        return Motion(self.name, self.trajectory.reversal, self.certificate.reversal)
-
-    def with_trajectory(self, trajectory: Trajectory, certificate: Certificate, path: SplinePath | None) -> Self:
-        """The motion with another trajectory between the same ends, along a path."""
-        del path  # only a transit has a path
-        return replace(self, trajectory=trajectory, certificate=certificate)
-
-
-@dataclass(frozen=True, eq=False)
-class Transit(Motion):
-    """A certified motion between two configurations, with its origin.
-
-    Attributes:
-        problem: Start, goal and joint limits, and the world.
-        waypoints: (m, dof) the polyline before post-processing.
-        path: The smooth path; None for an empty motion. If path and timing were optimized together, its parameter is
-            time.
-        origin: The source of the polyline.
-        search: The grid search that found the polyline; None for none.
-    """
-
-    problem: Problem
-    waypoints: FloatArray
-    path: SplinePath | None
-    origin: Origin
-    search: GridSearchRecord | None = None
-
-    def with_trajectory(self, trajectory: Trajectory, certificate: Certificate, path: SplinePath | None) -> Self:
-        """The transit with another trajectory near the same waypoints, along a path."""
-        return replace(self, trajectory=trajectory, certificate=certificate, path=path)
+        return replace(
+            self, trajectory=self.trajectory.reversal, certificate=self.certificate.reversal,
+            waypoints=frozen(self.waypoints[::-1].copy()), path=None, search=None,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +81,7 @@ class Plan(Record):
         told: Additional report sections.
     """
 
-    transit: Transit
+    transit: Motion
     others: tuple[Motion, ...] = ()
     grasp: Grasp | None = None
     run: _Whole | None = None
@@ -145,9 +130,7 @@ def in_sequence(motions: Sequence[Motion], begin_s: float = 0.0) -> _Whole:
     )
 
 
-def quickest(
-    problem: Problem, polylines: Sequence[Path], margin: float, *, quicker_than_s: float = math.inf
-) -> Transit:
+def quickest(problem: Problem, polylines: Sequence[Path], margin: float, *, quicker_than_s: float = math.inf) -> Motion:
     """The fastest certified motion near some polylines.
 
     If the optimizer finds none or the objective is a short path, the motion along the first polyline that admits a
@@ -178,7 +161,7 @@ def quickest(
     raise failures[0] if failures else CertificationError("no motion is faster than the known one")
 
 
-def motion_along(problem: Problem, polyline: Path, margin: float) -> Transit:
+def motion_along(problem: Problem, polyline: Path, margin: float) -> Motion:
     """The certified motion along the first clear smooth path near a polyline.
 
     Raises:
@@ -192,7 +175,7 @@ def motion_along(problem: Problem, polyline: Path, margin: float) -> Transit:
     return _transit(problem, polyline, path, *certified_trajectory(problem, path))
 
 
-def improve(motion: Transit, upright: Chain | None = None) -> Iterator[Transit]:
+def improve(motion: Motion, upright: Chain | None = None) -> Iterator[Motion]:
     """A certified motion, then a faster certified one near it, if any.
 
     There is no second motion if the objective is a short path, if the first is straight, or if the effort requires a
@@ -218,13 +201,13 @@ def improve(motion: Transit, upright: Chain | None = None) -> Iterator[Transit]:
     if spline is not None and spline.duration < start.duration:
         quicker, certificate = certify_gently(problem, spline.trajectory(program.dynamics, program.rate_hz))
         if certificate.verified and quicker.duration < start.duration:
-            yield motion.with_trajectory(quicker, certificate, spline.path)
+            yield replace(motion, trajectory=quicker, certificate=certificate, path=spline.path)
 
 
 def _transit(
     problem: Problem, polyline: Path, path: SplinePath, trajectory: Trajectory, certificate: Certificate
-) -> Transit:
-    return Transit(
+) -> Motion:
+    return Motion(
         "transit", trajectory, certificate, problem, polyline.waypoints, path, polyline.origin, polyline.search
     )
 
@@ -274,7 +257,7 @@ def time_problem(
 
 def _optimize(
     problem: Problem, polylines: Sequence[Path], margin: float, effort: StartsEffort, quicker_than_s: float
-) -> Transit | None:
+) -> Motion | None:
     """The fastest certified motion near some polylines from the optimizer.
 
     None if the straight motion is as good, or no motion was found.

@@ -17,7 +17,7 @@ from hplan.collision.far_obstacles import warn_of_far_obstacles
 from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
 from hplan.planning.at_risk import within_risk
 from hplan.planning.in_time import past_moving_obstacles
-from hplan.planning.motion import Plan, Solver, Transit, best_of, motion_limits, seconds
+from hplan.planning.motion import Motion, Plan, Solver, best_of, motion_limits, seconds
 from hplan.planning.options import PlanOptions
 from hplan.planning.plans import plans_from_rest, with_all_efforts, with_reuse
 from hplan.planning.problem import Problem
@@ -111,7 +111,7 @@ def check_task(
 
 
 def solve_scene(
-    problem: Problem, *, progress: Progress = no_progress, before: Transit | None = None, stop: Trajectory | None = None
+    problem: Problem, *, progress: Progress = no_progress, before: Motion | None = None, stop: Trajectory | None = None
 ) -> PlanResult:
     """Solve the problem of a scene.
 
@@ -148,7 +148,7 @@ def solve_scene(
         raise
 
 
-def solver(before: Transit | None = None, stop: Trajectory | None = None) -> Solver:
+def solver(before: Motion | None = None, stop: Trajectory | None = None) -> Solver:
     """The solver of any problem.
 
     That of problems from rest among static obstacles, and its wrappers.

@@ -27,7 +27,7 @@ from hplan.planning.approach import Approach, blend
 from hplan.planning.effort import Effort, efforts_of
 from hplan.planning.failures import FailuresError, mark_approach
 from hplan.planning.grasps import COUNT, SPARE, Grasp, Target, grasps, select_promising
-from hplan.planning.motion import Plan, Solver, Transit
+from hplan.planning.motion import Motion, Plan, Solver
 from hplan.planning.pose_goal import configurations_at, goal_pose
 from hplan.planning.problem import Problem, merge_problems
 from hplan.planning.solver import motions, prove_each_goal, reuse_motion
@@ -66,7 +66,7 @@ def with_all_efforts(solve: Solver) -> Solver:
     return solver
 
 
-def with_reuse(before: Transit | None, solve: Solver) -> Solver:
+def with_reuse(before: Motion | None, solve: Solver) -> Solver:
     """A solver that keeps or repairs an earlier motion if possible.
 
     Args:

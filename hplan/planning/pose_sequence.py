@@ -42,7 +42,7 @@ from hplan.kinematics.inverse_kinematics import chain_of, checked_pose, with_dir
 from hplan.kinematics.straight_line import line_to
 from hplan.optimization.smooth_path import SMALLEST_FRACTION
 from hplan.planning.finish import given_path, scene_along
-from hplan.planning.motion import Motion, Plan, Transit, best_of, certified_trajectory, improve
+from hplan.planning.motion import Motion, Plan, best_of, certified_trajectory, improve
 from hplan.planning.options import PlanOptions
 from hplan.planning.path_finder import Origin
 from hplan.planning.plan import check_task, plan_result
@@ -86,7 +86,7 @@ class _Leg(NamedTuple):
     problem: Problem
     rows: FloatArray
     path: SplinePath | None = None
-    motion: Transit | None = None
+    motion: Motion | None = None
     bounds: ToolBounds | None = None
 
 
@@ -471,7 +471,7 @@ def _finished_result(task: _PoseTask, legs: Sequence[_Leg]) -> PlanResult:
     first, *others = (motion for _, motion, _ in moved)
     whole = Plan(
         replace(first, problem=replace(first.problem, scene=along)),
-        tuple(Motion(motion.name, motion.trajectory, motion.certificate) for motion in others),
+        tuple(others),
     )
     allowed = None if task.tilt is None else math.degrees(task.tilt.most)
     found = {"allowed_deviation_m": task.deviation_m, "allowed_tilt_deg": allowed, "phases": told}
@@ -499,7 +499,7 @@ def _certify_leg(task: _PoseTask, leg: _Leg) -> _Leg:
             failure = failure or error
             continue
         origin: Origin = "direct" if task.straight[leg.number] else "trees"
-        motion = Transit(name, trajectory, certificate, to, frozen(np.array(leg.rows)), path, origin)
+        motion = Motion(name, trajectory, certificate, to, frozen(np.array(leg.rows)), path, origin)
         with stage("certificate"):
             bounds = _tool_bounds(task, motion)
         tilted = task.tilt is not None and bounds.tilt_rad > task.tilt.most
@@ -515,7 +515,7 @@ def _certify_leg(task: _PoseTask, leg: _Leg) -> _Leg:
     raise failure or CertificationError(f"the path to pose {leg.number + 1} cannot be smoothed within its clearance")
 
 
-def _optimize_upright(task: _PoseTask, motion: Transit, bounds: ToolBounds) -> tuple[Transit, ToolBounds]:
+def _optimize_upright(task: _PoseTask, motion: Motion, bounds: ToolBounds) -> tuple[Motion, ToolBounds]:
     """Return an optimized upright motion, or the given one.
 
     The given one is kept if it is close to its duration bound, or if the optimized one tilts too far.

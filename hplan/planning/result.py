@@ -16,7 +16,7 @@ from hplan.certificate.certificate import REST, Certificate
 from hplan.certificate.retimed_certificate import CertifiedMotion, certified_retiming
 from hplan.geometry.polyline import path_length
 from hplan.planning.grasps import Grasp
-from hplan.planning.motion import Transit
+from hplan.planning.motion import Motion
 from hplan.planning.problem import Problem
 from hplan.planning.report import assumptions_report, far_report, motion_report
 from hplan.robot.model import Robot
@@ -55,7 +55,7 @@ class PlanResult(Record, InNotebook):
         True
     """
 
-    motion: Transit
+    motion: Motion
     trajectory: Trajectory
     certificate: Certificate
     phases: tuple[Phase, ...]
@@ -164,7 +164,7 @@ class PlanResult(Record, InNotebook):
         return replace(found, begins_s=self.begins_s)
 
 
-def bounded_phases(transit: Transit) -> int:
+def bounded_phases(transit: Motion) -> int:
     """Number of phases that a bound covers.
 
     It covers the phases up to the first rest: the transit, or transit and approach if they are blended.

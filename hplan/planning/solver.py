@@ -19,7 +19,7 @@ from hplan.base.arrays import frozen
 from hplan.errors import CertificationError, HplanError, NoPathError, NotFoundError, TimingError
 from hplan.optimization.repair import repair
 from hplan.planning.failures import FailuresError
-from hplan.planning.motion import Transit, best_of, certificate_of, improve, motion_along, quickest, require_certificate
+from hplan.planning.motion import Motion, best_of, certificate_of, improve, motion_along, quickest, require_certificate
 from hplan.planning.path_finder import (
     Budget,
     FirstPaths,
@@ -37,7 +37,7 @@ from hplan.planning.specialist import specialist_of
 from hplan.trajectory.retime import rest_at
 
 #: The number of a goal, and a motion there.
-Found: TypeAlias = tuple[int, Transit]
+Found: TypeAlias = tuple[int, Motion]
 
 
 def motions(problem: Problem) -> Iterator[Found]:
@@ -102,7 +102,7 @@ def finders_of(problem: Problem) -> Sequence[PathFinder]:
     return found if problem.effort.long.pairs else [finder for finder in found if not isinstance(finder, LongTrees)]
 
 
-def reuse_motion(problem: Problem, previous: Transit) -> Transit | None:
+def reuse_motion(problem: Problem, previous: Motion) -> Motion | None:
     """Keep or repair an earlier motion among changed obstacles.
 
     Returns:
@@ -129,7 +129,7 @@ def reuse_motion(problem: Problem, previous: Transit) -> Transit | None:
     return None
 
 
-def motion_near(problem: Problem, paths: Sequence[Path]) -> Transit | None:
+def motion_near(problem: Problem, paths: Sequence[Path]) -> Motion | None:
     """The fastest certified motion near some paths of trees, or None."""
     with suppress(CertificationError, TimingError):
         return quickest(problem, paths, problem.margin) if paths else None
@@ -175,11 +175,11 @@ def _motions_near(problem: Problem, group: Sequence[Path], budget: Budget) -> It
         budget.error = error.with_traceback(None)
 
 
-def _rest(problem: Problem) -> Transit:
+def _rest(problem: Problem) -> Motion:
     """The motion from a configuration to itself."""
     rest = rest_at(problem.robot.model, problem.start)
     certificate = require_certificate(problem, certificate_of(problem, rest))
-    return Transit("transit", rest, certificate, problem, frozen(np.array(problem.start[None])), None, "none")
+    return Motion("transit", rest, certificate, problem, frozen(np.array(problem.start[None])), None, "none")
 
 
 def _reasons(problem: Problem) -> Iterator[NoPathError | NotFoundError]:

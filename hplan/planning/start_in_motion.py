@@ -20,7 +20,7 @@ from hplan.certificate.start_state import start_state
 from hplan.errors import ConfigurationInCollisionError, HplanError, OptionError, UnavoidableContactError
 from hplan.optimization.minimize_time import TimedMotion, minimize_time
 from hplan.optimization.timed_spline import RESTING, BoundaryState, TimedSpline, even_breaks
-from hplan.planning.motion import Motion, Plan, Solver, best_of, certificate_of, motion_limits, time_problem
+from hplan.planning.motion import Plan, Solver, best_of, certificate_of, motion_limits, time_problem
 from hplan.planning.problem import Problem
 from hplan.planning.stages import stage
 from hplan.robot.model import Robot
@@ -80,9 +80,9 @@ def _plans_in_motion(problem: Problem, state: BoundaryState, solve: Solver, stop
         if is_found and problem.effort.compared == 1:
             return
 
-    def plan_onward(stopped: Motion) -> Plan:
-        planned = solve(replace(problem, start=stopped.trajectory.position[-1]))
-        return _stopping_first(stopped, next(planned) if problem.effort.at_once else best_of(planned))
+    def plan_onward(stopped: Trajectory, certificate: Certificate) -> Plan:
+        planned = solve(replace(problem, start=stopped.position[-1]))
+        return _stopping_first(stopped, certificate, next(planned) if problem.effort.at_once else best_of(planned))
 
     try:
         stopping = after_stop(
@@ -133,15 +133,16 @@ def _blend_start(plan: Plan, state: BoundaryState) -> Plan | None:
     certificate = certificate_of(problem, trajectory, rest_to_rest=False)
     if not certificate.verified:
         return None
-    return replace(plan, transit=plan.transit.with_trajectory(trajectory, certificate, spline.path))
+    blended = replace(plan.transit, trajectory=trajectory, certificate=certificate, path=spline.path)
+    return replace(plan, transit=blended)
 
 
-def _stopping_first(stop: Motion, plan: Plan) -> Plan:
+def _stopping_first(stop: Trajectory, certificate: Certificate, plan: Plan) -> Plan:
     """Join a stop and the plan from its end into one plan."""
     transit = plan.transit
-    trajectory = join_trajectories([stop.trajectory, transit.trajectory])
-    certificate = all_of([stop.certificate, transit.certificate])
-    waypoints = frozen(np.vstack([stop.trajectory.position[:1], transit.waypoints]))
+    trajectory = join_trajectories([stop, transit.trajectory])
+    waypoints = frozen(np.vstack([stop.position[:1], transit.waypoints]))
+    certificate = all_of([certificate, transit.certificate])
     whole = replace(transit, waypoints=waypoints, trajectory=trajectory, certificate=certificate)
     return replace(plan, transit=whole)
 
@@ -149,7 +150,7 @@ def _stopping_first(stop: Motion, plan: Plan) -> Plan:
 def after_stop(
     motions: Iterable[Trajectory],
     certificate_of_stop: Callable[[Trajectory], Certificate],
-    onward: Callable[[Motion], Plan | None],
+    onward: Callable[[Trajectory, Certificate], Plan | None],
     *,
     certify: bool = True,
 ) -> Plan:
@@ -158,7 +159,7 @@ def after_stop(
     Args:
         motions: Motions to rest, in the order in which they are tried.
         certificate_of_stop: Returns the certificate of a stop.
-        onward: Returns the plan that starts with a stop; None or an error if there is no such plan.
+        onward: Returns the plan that starts with a stop and its certificate; None or an error if there is no such plan.
         certify: True if the stop must be certified.
 
     Raises:
@@ -167,13 +168,14 @@ def after_stop(
         HplanError: As raised by `onward` for the first certified stop.
     """
     failure: HplanError | None = None
-    tried: list[Motion] = []
+    tried: list[tuple[Trajectory, Certificate]] = []
     for motion in motions:
-        tried.append(Motion("stop", motion, certificate_of_stop(motion)))
-        if not tried[-1].certificate.verified and certify:
+        certificate = certificate_of_stop(motion)
+        tried.append((motion, certificate))
+        if not certificate.verified and certify:
             continue
         try:
-            plan = onward(tried[-1])
+            plan = onward(motion, certificate)
         except HplanError as error:
             failure = failure or error.with_traceback(None)
             continue
@@ -181,10 +183,10 @@ def after_stop(
             return plan
     if failure is not None:
         raise failure
-    best = max(tried, key=lambda stop: stop.certificate.min_clearance_m)
-    clearance = best.certificate.min_clearance_m
+    best, certificate = max(tried, key=lambda stop: stop[1].min_clearance_m)
+    clearance = certificate.min_clearance_m
     raise UnavoidableContactError(
-        best.certificate.violations, len(tried), clearance if np.isfinite(clearance) else None, best.trajectory
+        certificate.violations, len(tried), clearance if np.isfinite(clearance) else None, best
     )
 
 

@@ -38,7 +38,7 @@ from hplan.errors import HplanError, UnreachableError
 from hplan.planning.approach import Approach, blend, retreat_of
 from hplan.planning.failures import NO_MOTION
 from hplan.planning.grasps import Grasp, Target, grasps
-from hplan.planning.motion import Motion, Transit, best_of, seconds
+from hplan.planning.motion import Motion, best_of, seconds
 from hplan.planning.plans import plans_to_grasps
 from hplan.planning.pose_goal import configurations_at
 from hplan.planning.problem import Problem, merge_problems
@@ -111,7 +111,7 @@ class Motions:
 
     def __init__(
         self, empty: Problem, loaded: Problem | None, *, here: Stop, home: Stop,
-        drop: Transit | None, every: int, back: bool,
+        drop: Motion | None, every: int, back: bool,
     ) -> None:  # fmt: skip
         """Start without fruits.
 
@@ -120,7 +120,7 @@ class Motions:
             loaded: The arm with its load; None if nothing is carried.
             here: Stop at the start of the tour.
             home: Last stop of a tour that goes back.
-            drop: Transit from `home` to the drop-off; None if nothing is carried.
+            drop: Motion from `home` to the drop-off; None if nothing is carried.
             every: Maximum number of fruits carried to the drop-off.
             back: True if the tour goes back.
         """
@@ -439,7 +439,7 @@ def _reverse_blended(found: _Blended) -> _Blended:
     return before, motion.reversal, None if leaving is None else replace(leaving.reversal, name="approach")
 
 
-def drop_off(goal: Goal, empty: Problem, loaded: Problem, start: FloatArray) -> Transit:
+def drop_off(goal: Goal, empty: Problem, loaded: Problem, start: FloatArray) -> Motion:
     """Motion from the start to the drop-off, collision-free with load, too.
 
     Args:

@@ -29,7 +29,7 @@ from hplan.certificate.digests import Digests
 from hplan.errors import CertificationError, HplanError, OptionError, SceneError, TourError, UnreachableError
 from hplan.planning.failures import NO_MOTION, Reason, obstacle_of, reason_of
 from hplan.planning.grasps import Grasp
-from hplan.planning.motion import Motion, Transit, certificate_of, in_sequence, require_certificate, seconds
+from hplan.planning.motion import Motion, certificate_of, in_sequence, require_certificate, seconds
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task
 from hplan.planning.problem import Problem
@@ -263,7 +263,7 @@ class TourPlanner:
         self._begin = time.perf_counter()
         self.robot, self.scene, self.options, self.tour, self.progress = robot, scene, options, tour, progress
         self._carrying: Robot | None = None
-        self._drop: Transit | None = None
+        self._drop: Motion | None = None
         if scene.start.is_moving:
             raise SceneError("tours begin at rest, but the start has a velocity or an acceleration", where="start")
         if scene.start.contact_depth is not None:
@@ -364,7 +364,8 @@ class TourPlanner:
         for fruit, grasp, parts in drafts:
             if not parts:  # the arm stays at rest
                 rest = rest_at(self.robot.model, here)
-                parts = [Motion("return", rest, require_certificate(self.problem, certificate_of(self.problem, rest)))]
+                certificate = require_certificate(self.problem, certificate_of(self.problem, rest))
+                parts = [Motion("return", rest, certificate, self.problem)]
             legs.append(Leg(fruit, grasp, begin, *in_sequence(parts, begin)))
             begin = legs[-1].phases[-1].end_s
             here = legs[-1].trajectory.position[-1]

@@ -19,8 +19,8 @@ from hplan.errors import ObstacleInTimeError, RunningMotionBlockedError
 from hplan.online.planner import Planner
 from hplan.online.splice import SplicedResult
 from hplan.planar.family_reader import family_of
-from hplan.planning.in_time import certified_in_time, stopping_first
-from hplan.planning.motion import Motion, Plan
+from hplan.planning.in_time import stopping_first
+from hplan.planning.motion import Plan
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan, solver
 from hplan.planning.problem import Problem
@@ -243,8 +243,7 @@ def test_moving_obstacles_are_at_their_place_after_stop(robot, monkeypatch):
         return solver()(problem)
 
     problem = Problem.from_scene(robot, scene, options)
-    certified = certified_in_time(problem, stop, check_ends=False)
-    found = stopping_first(problem, solve, Motion("stop", stop, certified))
+    found = stopping_first(problem, solve, stop)
     assert found is not None
     assert found.run is not None
     assert found.run[2].verified

@@ -12,7 +12,7 @@ from planned import ABOVE, BAR, BELOW, at, between_rows, posed, post, task
 from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import CertificationError, NoPathError
-from hplan.planning.motion import Transit, certificate_of, require_certificate
+from hplan.planning.motion import Motion, certificate_of, require_certificate
 from hplan.planning.options import PlanOptions
 from hplan.planning.problem import merge_problems
 from hplan.planning.solver import best_motion, reuse_motion
@@ -25,7 +25,7 @@ NEAR = (30.0, 30.0, 20.0, 20.0)
 OPTIONS = PlanOptions(step_deg=2.0)
 
 
-def assert_motion(robot: Robot, scene: Scene, motion: Transit) -> None:
+def assert_motion(robot: Robot, scene: Scene, motion: Motion) -> None:
     assert motion.certificate.verified
     assert certify(robot, scene, motion.trajectory).verified
     checker = CoalScene(robot, scene.solids)
@@ -72,7 +72,7 @@ def test_uncertified_plan_is_refused_by_default(robot: Robot) -> None:
 # Earlier motions
 
 
-def after(robot: Robot, before: Transit, scene: Scene) -> Transit | None:
+def after(robot: Robot, before: Motion, scene: Scene) -> Motion | None:
     return reuse_motion(posed(robot, scene, OPTIONS), before)
 
 

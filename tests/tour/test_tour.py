@@ -308,14 +308,15 @@ def test_no_fruit_at_all_is_an_error_with_all_reasons(robot: Robot) -> None:
 def moves_of_seconds(robot: Robot, seconds: dict[tuple[int, int], float], stops: Sequence[Stop]) -> Moves:
     """Moves among stops; some motions are known, named by their ends."""
     scene = orchard(robot, fruits=False)
-    moves = Moves(Problem.from_scene(robot, scene, OPTIONS), None)
+    problem = Problem.from_scene(robot, scene, OPTIONS)
+    moves = Moves(problem, None)
     for stop in stops:
         moves.add(stop)
     shown = Certificate(True, math.inf, None, LimitUse(0.0, 0.0, 0.0, 0.0), 0, ())
     for (a, b), duration in seconds.items():
         there, back = (SimpleNamespace(duration=duration, ends=ends) for ends in ((a, b), (b, a)))
         there.reversal, back.reversal = back, there
-        moves.keep(a, b, False, Motion("transit", there, shown))  # type: ignore[arg-type]
+        moves.keep(a, b, False, Motion("transit", there, shown, problem))  # type: ignore[arg-type]
     return moves
 
 

@@ -88,9 +88,17 @@ class OptimizerEffort:
 
     Attributes:
         levels: Levels from coarse to fine; in the last level the pieces meet at samples.
+        rough: Of several paths, maximum number of coarsely optimized motions; they start from the paths with the
+            fastest splines, one of each homotopy class.
+        others: Minimum number of coarsely optimized motions if paths suffice; with fewer classes, further paths of the
+            same classes fill up.
+        finished: Maximum number of these motions, the fastest, that are optimized fully.
     """
 
     levels: tuple[Level, ...]
+    rough: int = 1
+    others: int = 0
+    finished: int = 1
 
 
 class TimedMotion(Protocol):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -31,25 +31,6 @@ NEAR_PATH_M = 0.4
 #: Pairs of the arm's own bodies are left out of programs if they do not touch within this joint displacement of the
 #: motion [rad]: about the maximum change in one step.
 _FARTHEST_TURN = 0.6
-
-
-@dataclass(frozen=True)
-class StartsEffort:
-    """Optimization budget for motions near several paths.
-
-    Attributes:
-        optimization: Budget of one motion.
-        rough: Maximum number of coarsely optimized motions; they start from the paths with the fastest splines, one of
-            each homotopy class.
-        others: Minimum number of coarsely optimized motions if paths suffice; with fewer classes, further paths of the
-            same classes fill up.
-        finished: Maximum number of these motions, the fastest, that are optimized fully.
-    """
-
-    optimization: OptimizerEffort
-    rough: int
-    others: int
-    finished: int
 
 
 class OptimizationStart(NamedTuple):
@@ -93,7 +74,7 @@ def optimization_starts(paths: Sequence[FloatArray], problem: TimeProblem) -> li
 
 
 def fastest_motions(
-    starts: Sequence[OptimizationStart], effort: StartsEffort, *, quicker_than_s: float = math.inf
+    starts: Sequence[OptimizationStart], effort: OptimizerEffort, *, quicker_than_s: float = math.inf
 ) -> list[tuple[int, TimedSpline]]:
     """Optimized motions with the index of their path, fastest first.
 
@@ -107,7 +88,7 @@ def fastest_motions(
     # motion, and by the second relative to other coarse motions.
     left_to_gain, among_rough = 0.1, 0.05
     if len(several) > 1 or math.isfinite(quicker_than_s):
-        chosen = [(start, rough_motion(start.profile, start.problem, effort.optimization)) for start in several]
+        chosen = [(start, rough_motion(start.profile, start.problem, effort)) for start in several]
         times = [math.inf if rough is None else rough.duration for _, rough in chosen]
         enough = min(quicker_than_s / (1.0 - left_to_gain), min(times, default=math.inf) / (1.0 - among_rough))
         best = ties.argsort(times)[: effort.finished]
@@ -115,12 +96,12 @@ def fastest_motions(
     found = [
         (start.number, motion)
         for start, rough in chosen
-        if (motion := minimize_time(start.profile, start.problem, effort.optimization, rough=rough)) is not None
+        if (motion := minimize_time(start.profile, start.problem, effort, rough=rough)) is not None
     ]
     return [found[k] for k in ties.argsort([motion.duration for _, motion in found]).tolist()]
 
 
-def _select_starts(starts: Sequence[OptimizationStart], effort: StartsEffort) -> IntArray:
+def _select_starts(starts: Sequence[OptimizationStart], effort: OptimizerEffort) -> IntArray:
     """Indices of the starts to optimize coarsely: class representatives, then others."""
     paths = np.stack([start.profile.positions(PARTS * start.profile.duration) for start in starts])
     first = class_numbers(paths, starts[0].problem.field) == np.arange(len(starts))

@@ -26,14 +26,13 @@ from hplan.planar.grids import (
     possible_growth,
 )
 from hplan.planar.no_path_proof import EnclosedError, enclosed_goals, prove_infeasible
-from hplan.planning.effort import TreesEffort
 from hplan.planning.failures import FailuresError
 from hplan.planning.path_finder import (
-    Budget,
     FirstPaths,
     LongTrees,
     Path,
     PathFinder,
+    SearchState,
     Trees,
     describe_trees,
     is_straight_clear,
@@ -50,8 +49,8 @@ _STEP_FACTORS: Final = (1.0, 0.5)
 _LARGE: Final = 2e6
 _MOST_COARSE: Final = 5e6
 
-#: Tree budget for the first solution; narrow passages are left to the grids.
-_AT_ONCE: Final = TreesEffort(2, 1_500)
+#: Pairs of trees for the first solution, and distance queries of each; narrow passages are left to the grids.
+_AT_ONCE: Final = 2, 1_500
 
 
 def searches_first(problem: Problem) -> bool:
@@ -67,7 +66,7 @@ def path_finders(problem: Problem) -> Sequence[PathFinder] | None:
     if base_turns(problem) or problem.is_leaving:
         return None
     if problem.effort.at_once:
-        return (FirstGridPaths(_AT_ONCE),)
+        return (FirstGridPaths(),)
     if problem.options.method == "dense":
         return (TwoLevelGrid(),)
     if count_nodes(problem, GridAttempt()) > _LARGE:
@@ -82,7 +81,7 @@ class TwoLevelGrid:
     Finer grids and grown obstacles are fallbacks.
     """
 
-    def paths(self, problem: Problem, budget: Budget) -> Iterator[tuple[Path, ...]]:
+    def paths(self, problem: Problem, state: SearchState) -> Iterator[tuple[Path, ...]]:
         """Yield the grid path with its alternatives.
 
         Ends when one leads to a certified motion.
@@ -95,7 +94,7 @@ class TwoLevelGrid:
             if number in failures:
                 continue
             try:
-                yield from self._paths_to(problem.with_goals(number), number, budget)
+                yield from self._paths_to(problem.with_goals(number), number, state)
             except NoPathError as error:
                 failures[number] = error.plain if isinstance(error, EnclosedError) and number else error
                 error.with_traceback(None)  # it would keep grids in memory
@@ -108,7 +107,7 @@ class TwoLevelGrid:
                 return
         raise FailuresError(tuple(failures[number] for number in range(len(problem.goals))))
 
-    def _paths_to(self, problem: Problem, number: int, budget: Budget) -> Iterator[tuple[Path, ...]]:
+    def _paths_to(self, problem: Problem, number: int, state: SearchState) -> Iterator[tuple[Path, ...]]:
         """Yield paths to one goal until one leads to a certified motion.
 
         Raises if all fail.
@@ -130,12 +129,12 @@ class TwoLevelGrid:
                     break  # grown obstacles close the passage, and the motion without growth could not be certified
                 found = Path(route.path, "search", number, route, margin)
                 yield (found, *(path._replace(goal=number, margin=margin) for path in self._alternatives(problem)))
-                if budget.error is None:
+                if state.error is None:
                     return
-                if isinstance(budget.error, TimingError):
-                    raise budget.error
-                if isinstance(budget.error, CertificationError):
-                    failure = failure or budget.error
+                if isinstance(state.error, TimingError):
+                    raise state.error
+                if isinstance(state.error, CertificationError):
+                    failure = failure or state.error
         coarsest = max(problem.options.step_deg, COARSEST_DEG)
         tried = [] if any(fitting) else [f"no grid of {coarsest:g} deg or less has fewer than {MOST_CELLS:.3g} nodes"]
         raise failure or NotFoundError(
@@ -145,11 +144,11 @@ class TwoLevelGrid:
     def _alternatives(self, problem: Problem) -> list[Path]:
         """Tree paths in other homotopy classes than the grid path."""
         effort = problem.effort
-        if problem.options.method == "dense" or not isinstance(effort, PlanarEffort) or effort.after_grid is None:
+        if problem.options.method == "dense" or not isinstance(effort, PlanarEffort) or not effort.after_grid_pairs:
             return []
         if is_straight_clear(problem):
             return []
-        return tree_paths(problem, effort.after_grid)
+        return tree_paths(problem, effort.after_grid_pairs, queries=effort.after_grid_queries)
 
 
 class FirstGridPaths(FirstPaths):
@@ -157,6 +156,11 @@ class FirstGridPaths(FirstPaths):
 
     Goals are excluded by a flood of the grid.
     """
+
+    def tree_budget(self, problem: Problem) -> tuple[int, int]:
+        """Number of pairs of trees, and maximum number of distance queries of each."""
+        del problem
+        return _AT_ONCE
 
     def prove_excluded(self, problem: Problem) -> Sequence[NoPathError | None]:
         """Infeasibility proof of each goal on the planar grid; None without one."""

@@ -15,9 +15,9 @@ from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.certificate.certificate import Certificate, Stretch, all_of, certify_among, stretches
 from hplan.errors import CertificationError, TimingError
 from hplan.kinematics.damped_steps import Chain
-from hplan.optimization.minimize_time import minimize_time
+from hplan.optimization.minimize_time import OptimizerEffort, minimize_time
 from hplan.optimization.options import PostprocessOptions
-from hplan.optimization.several_starts import NEAR_PATH_M, StartsEffort, fastest_motions, optimization_starts
+from hplan.optimization.several_starts import NEAR_PATH_M, fastest_motions, optimization_starts
 from hplan.optimization.smooth_path import clear_path, is_straight, near_field, short_path
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import BoundaryState
@@ -197,7 +197,7 @@ def improve(motion: Motion, upright: Chain | None = None) -> Iterator[Motion]:
         return
     with stage("timing"):
         program = replace(time_problem(problem, start), upright=upright)
-        spline = minimize_time(start, program, effort.optimization)
+        spline = minimize_time(start, program, effort)
     if spline is not None and spline.duration < start.duration:
         quicker, certificate = certify_gently(problem, spline.trajectory(program.dynamics, program.rate_hz))
         if certificate.verified and quicker.duration < start.duration:
@@ -256,7 +256,7 @@ def time_problem(
 
 
 def _optimize(
-    problem: Problem, polylines: Sequence[Path], margin: float, effort: StartsEffort, quicker_than_s: float
+    problem: Problem, polylines: Sequence[Path], margin: float, effort: OptimizerEffort, quicker_than_s: float
 ) -> Motion | None:
     """The fastest certified motion near some polylines from the optimizer.
 

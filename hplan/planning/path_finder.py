@@ -1,8 +1,7 @@
 """Path finders: straight lines, pairs of trees, and additions by specialists.
 
 A path finder yields groups of paths to one goal. The solver (`hplan.planning.solver`) makes the fastest certified
-motion of each group, notes its duration in the budget, and requests the next group as long as that may be worthwhile.
-Finders read the budget to decide whether to go on.
+motion of each group, notes its duration in the state, and requests the next group as long as that may be worthwhile.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from hplan.errors import HplanError, NoPathError
 from hplan.optimization.path_classes import PARTS, class_numbers
 from hplan.optimization.shortcut import shorten
 from hplan.optimization.smooth_path import START_SHORTCUTS
-from hplan.planning.effort import FAR_FROM_BOUND, Effort, TreesEffort
+from hplan.planning.effort import FAR_FROM_BOUND
 from hplan.planning.failures import FailuresError
 from hplan.planning.problem import Problem
 from hplan.planning.rrt_connect import Pairs, tree_path
@@ -76,25 +75,18 @@ class Path(NamedTuple):
 
 
 @dataclass
-class Budget:
-    """Budget of a search, and its intermediate results.
+class SearchState:
+    """Intermediate results of a search; finders read them to decide whether to go on.
 
     Attributes:
-        effort: The preset.
         durations: (n,) duration of the fastest certified motion to each goal; inf without one [s].
         pairs: Trees that have not met yet and can grow on.
         error: Why the last group led to no certified motion; None if it led to one.
     """
 
-    effort: Effort
     durations: FloatArray
     pairs: Pairs = field(default_factory=dict)
     error: HplanError | None = None
-
-    @classmethod
-    def from_problem(cls, problem: Problem) -> Budget:
-        """The budget of a problem at the start of the search."""
-        return cls(problem.effort, np.full(len(problem.goals), math.inf))
 
     @property
     def best_s(self) -> float:
@@ -105,7 +97,7 @@ class Budget:
 class PathFinder(Protocol):
     """Finds paths from the start of a problem to its goals."""
 
-    def paths(self, problem: Problem, budget: Budget) -> Iterator[tuple[Path, ...]]:
+    def paths(self, problem: Problem, state: SearchState) -> Iterator[tuple[Path, ...]]:
         """Yield groups of alternative paths to one goal each.
 
         Raises:
@@ -129,7 +121,7 @@ class StraightLine:
     #: A goal is searched with trees if its lower bound is below this fraction of the straight motion's duration.
     _WORTHWHILE = 0.7
 
-    def paths(self, problem: Problem, budget: Budget) -> Iterator[tuple[Path, ...]]:
+    def paths(self, problem: Problem, state: SearchState) -> Iterator[tuple[Path, ...]]:
         """Yield the line, then paths to goals that may be much faster.
 
         The latter have an obstructed line.
@@ -138,40 +130,40 @@ class StraightLine:
             if not is_straight_clear(problem.with_goals(number)):
                 continue
             yield (straight_path(problem, number),)
-            if math.isinf(budget.durations[number]):
+            if math.isinf(state.durations[number]):
                 continue  # another path may lead to a motion that can be certified
-            enough = self._WORTHWHILE * budget.durations[number]
+            enough = self._WORTHWHILE * state.durations[number]
             better = (other for other in range(number) if problem.with_goals(other).least_duration < enough)
             if (sooner := next(better, None)) is not None:
-                yield from Trees().paths_to(problem, sooner, replace(budget, pairs={}))
+                yield from Trees().paths_to(problem, sooner, replace(state, pairs={}))
             return
 
 
 class Trees:
     """Paths of pairs of trees (RRT-Connect), later of several homotopy classes."""
 
-    def paths(self, problem: Problem, budget: Budget) -> Iterator[tuple[Path, ...]]:
+    def paths(self, problem: Problem, state: SearchState) -> Iterator[tuple[Path, ...]]:
         """Yield paths to the first reachable goal, or to several faster ones."""
-        compared = budget.effort.compared
+        compared = problem.effort.compared
         for number in range(min(len(problem.goals), max(_ONE_BY_ONE, compared))):
-            is_found = math.isfinite(budget.best_s)
-            if is_found and (compared == 1 or problem.with_goals(number).least_duration >= budget.best_s):
+            is_found = math.isfinite(state.best_s)
+            if is_found and (compared == 1 or problem.with_goals(number).least_duration >= state.best_s):
                 continue
-            yield from self.paths_to(problem, number, budget)
+            yield from self.paths_to(problem, number, state)
 
-    def paths_to(self, problem: Problem, number: int, budget: Budget) -> Iterator[tuple[Path, ...]]:
+    def paths_to(self, problem: Problem, number: int, state: SearchState) -> Iterator[tuple[Path, ...]]:
         """Yield one pair's path to a goal, then several pairs'.
 
         The others are skipped if the motion is close to the fastest.
         """
         one = problem.with_goals(number)
-        first = tree_paths(one, replace(budget.effort.trees, pairs=1), pairs=budget.pairs)
+        first = tree_paths(one, 1, pairs=state.pairs)
         if first:
             yield (first[0]._replace(goal=number),)
-        if budget.durations[number] <= budget.effort.close * one.least_duration:
+        if state.durations[number] <= problem.effort.close * one.least_duration:
             return
-        found = tree_paths(one, budget.effort.trees, first, 1, budget.pairs)
-        if math.isfinite(budget.durations[number]):  # the motion near the first
+        found = tree_paths(one, problem.effort.pairs, known=first, grown=1, pairs=state.pairs)
+        if math.isfinite(state.durations[number]):  # the motion near the first
             found = [path for path in found if path is not first[0]]
         group = (*self.other_paths(one, number), *(path._replace(goal=number) for path in found))
         if group:
@@ -186,67 +178,61 @@ class Trees:
 class LongTrees:
     """Paths of trees with a larger budget, to whichever goal they reach."""
 
-    def paths(self, problem: Problem, budget: Budget) -> Iterator[tuple[Path, ...]]:
+    def paths(self, problem: Problem, state: SearchState) -> Iterator[tuple[Path, ...]]:
         """Yield a group for each pair that meets.
 
         If the trees grow for one goal after the other, yield a group for each goal after all pairs have grown.
         """
         found: dict[int, list[Path]] = {}
-        long = long_trees(problem)
-        each = long.each
-        for seed in range(long.seed, long.seed + long.pairs):
-            path, evaluations = tree_to_any(problem, each, seed, budget.pairs)
+        seeds, each = long_trees(problem)
+        for seed in seeds:
+            path, evaluations = tree_to_any(problem, each, seed, state.pairs)
             if path is None:
                 continue
             found.setdefault(path.goal, []).append(path)
-            if not budget.effort.long_stops_early:
+            if not problem.effort.long_stops_early:
                 continue
             yield (path,)
-            if budget.error is None and math.isfinite(budget.best_s):
-                if budget.best_s <= FAR_FROM_BOUND * problem.with_goals(path.goal).least_duration:
+            if state.error is None and math.isfinite(state.best_s):
+                if state.best_s <= FAR_FROM_BOUND * problem.with_goals(path.goal).least_duration:
                     return
                 # A second pair that takes about as long as this one did.
                 each = min(each, max(_SHORT, 3 * evaluations // 2))
         for paths in found.values():
-            if math.isfinite(budget.best_s) or budget.effort.long_stops_early:
+            if math.isfinite(state.best_s) or problem.effort.long_stops_early:
                 return
             yield tuple(paths)
 
 
-@dataclass(frozen=True)
 class FirstPaths:
-    """The first promising paths: straight lines, then trees.
+    """The first promising paths: straight lines, then trees."""
 
-    Attributes:
-        trees: Trees to grow; None for the budget's trees.
-    """
-
-    trees: TreesEffort | None = None
-
-    def paths(self, problem: Problem, budget: Budget) -> Iterator[tuple[Path, ...]]:
+    def paths(self, problem: Problem, state: SearchState) -> Iterator[tuple[Path, ...]]:
         """Yield single paths until one leads to a certified motion.
 
         Raises:
             FailuresError: No path leads to any goal, with a proof for each.
         """
-        for path in self._candidates(problem, budget):
+        for path in self._candidates(problem):
             yield (path,)
-            if math.isfinite(budget.best_s):
+            if math.isfinite(state.best_s):
                 return
 
-    def _candidates(self, problem: Problem, budget: Budget) -> Iterator[Path]:
+    def _candidates(self, problem: Problem) -> Iterator[Path]:
         yield from (straight_path(problem, number) for number in range(len(problem.goals)))
         proofs = self.prove_excluded(problem)
         if all(proofs):
             raise FailuresError(tuple(error for error in proofs if error is not None))
         left = [number for number, error in enumerate(proofs) if error is None]
-        trees = budget.effort.trees
-        if self.trees is not None:
-            trees = replace(self.trees, seed=trees.seed)
-        for seed in range(trees.seed, trees.seed + trees.pairs):
-            path, _ = tree_to_any(problem.with_goals(*left), trees.each, seed)
+        pairs, queries = self.tree_budget(problem)
+        for seed in range(problem.effort.seed, problem.effort.seed + pairs):
+            path, _ = tree_to_any(problem.with_goals(*left), queries, seed)
             if path is not None:
                 yield path._replace(goal=left[path.goal])
+
+    def tree_budget(self, problem: Problem) -> tuple[int, int]:
+        """Number of pairs of trees, and maximum number of distance queries of each."""
+        return problem.effort.pairs, problem.effort.queries
 
     def prove_excluded(self, problem: Problem) -> Sequence[NoPathError | None]:
         """For each goal the proof that no path leads there, or None."""
@@ -254,7 +240,13 @@ class FirstPaths:
 
 
 def tree_paths(
-    problem: Problem, effort: TreesEffort, known: Sequence[Path] = (), grown: int = 0, pairs: Pairs | None = None
+    problem: Problem,
+    count: int,
+    *,
+    queries: int | None = None,
+    known: Sequence[Path] = (),
+    grown: int = 0,
+    pairs: Pairs | None = None,
 ) -> list[Path]:
     """Paths of pairs of trees to the problem's first goal.
 
@@ -265,7 +257,8 @@ def tree_paths(
 
     Args:
         problem: The problem with one goal.
-        effort: Number of pairs, budget and seed.
+        count: Number of pairs.
+        queries: Maximum number of distance queries of each pair; None for the problem's.
         known: Paths that are known already.
         grown: Number of pairs that have grown already and found the known paths.
         pairs: Trees that can grow on, as in `tree_path`.
@@ -274,10 +267,10 @@ def tree_paths(
         The paths, known ones included, fastest first; at most `OF_A_CLASS` of each homotopy class
         (`hplan.optimization.path_classes`).
     """
-    found = list(known)
+    found, each, first = list(known), problem.effort.queries if queries is None else queries, problem.effort.seed
     with stage("trees"):
-        for seed in range(effort.seed + grown, effort.seed + effort.pairs):
-            waypoints, _ = tree_path(problem, 0.1 * problem.margin, effort.each, seed, pairs=pairs)
+        for seed in range(first + grown, first + count):
+            waypoints, _ = tree_path(problem, 0.1 * problem.margin, each, seed, pairs=pairs)
             if waypoints is not None:
                 found.append(Path(waypoints, "trees"))
         if len(found) < 2:
@@ -323,19 +316,20 @@ def tree_to_any(problem: Problem, evaluations: int, seed: int, pairs: Pairs | No
     return Path(path, "trees", int((problem.goals == path[-1]).all(axis=1).argmax())), used
 
 
-def long_trees(problem: Problem) -> TreesEffort:
-    """The trees before a goal is refused.
+def long_trees(problem: Problem) -> tuple[range, int]:
+    """Seeds of the trees before a goal is refused, and distance queries of each.
 
-    Half of them among point clouds, where a distance query costs up to four times as much.
+    Half of the queries among point clouds, where one costs up to four times as much.
     """
-    long = problem.effort.long
+    effort = problem.effort
     is_cloudy = any(solid.is_point_set for solid in problem.world.solids)
-    return replace(long, each=long.each // 2) if is_cloudy else long
+    first = effort.seed + effort.long_seed
+    return range(first, first + effort.long_pairs), effort.long_queries // 2 if is_cloudy else effort.long_queries
 
 
 def describe_trees(problem: Problem) -> str:
     """Return a phrase with the budget of all trees, for errors."""
-    each: dict[int, int] = {}  # by seed: some of the long ones have grown before
-    for trees in (problem.effort.trees, long_trees(problem)):
-        each |= dict.fromkeys(range(trees.seed, trees.seed + trees.pairs), trees.each)
+    effort = problem.effort
+    each = dict.fromkeys(range(effort.seed, effort.seed + effort.pairs), effort.queries)
+    each |= dict.fromkeys(*long_trees(problem))  # by seed: some of the long ones have grown before
     return f"trees with {sum(each.values())} distance queries"

@@ -370,7 +370,7 @@ def _upright(tilt: _Tilt, tasks: Sequence[Problem], number: int, given_up: Seque
             return
         goals = np.array([to.goal for to in left])
         with stage("trees"):
-            path, _ = tree_path(first, least, evaluations, first.effort.trees.seed + seed, goals=goals, held=held)
+            path, _ = tree_path(first, least, evaluations, first.effort.seed + seed, goals=goals, held=held)
         if path is not None:
             reached, to = True, left[int((goals == path[-1]).all(axis=1).argmax())]
             yield _Leg(number, to, _shorten_upright(tilt, to, path))
@@ -396,7 +396,7 @@ def _shorten_upright(tilt: _Tilt, to: Problem, path: FloatArray) -> FloatArray:
     """Return the path with upright shortcuts."""
     parts = [np.linspace(*pair, max(2, math.ceil(float(np.abs(pair[1] - pair[0]).max()) / _ROW) + 1))[1:]
              for pair in pairwise(path)]  # fmt: skip
-    rows, draw = np.vstack([path[:1], *parts]), np.random.Generator(np.random.PCG64(to.effort.trees.seed))
+    rows, draw = np.vstack([path[:1], *parts]), np.random.Generator(np.random.PCG64(to.effort.seed))
     with stage("postprocess"):
         for _ in range(_SHORTCUTS):
             low, high = np.sort(draw.integers(0, len(rows), 2))

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen, readonly
 from hplan.collision.compiled_field import ClearanceField
 from hplan.errors import InputError
-from hplan.optimization.several_starts import StartsEffort
+from hplan.optimization.minimize_time import OptimizerEffort
 from hplan.planning.effort import Effort, efforts_of
 from hplan.planning.options import PlanOptions
 from hplan.planning.specialist import narrow_ranges, presets_of
@@ -87,7 +87,7 @@ class Problem(Record):
         return self.world.field
 
     @property
-    def optimization(self) -> StartsEffort | None:
+    def optimization(self) -> OptimizerEffort | None:
         """Budget of the optimizer; None if the objective is a short path."""
         return self.effort.starts if self.options.objective == "duration" else None
 

@@ -21,11 +21,11 @@ from hplan.optimization.repair import repair
 from hplan.planning.failures import FailuresError
 from hplan.planning.motion import Motion, best_of, certificate_of, improve, motion_along, quickest, require_certificate
 from hplan.planning.path_finder import (
-    Budget,
     FirstPaths,
     LongTrees,
     Path,
     PathFinder,
+    SearchState,
     StraightLine,
     Trees,
     describe_trees,
@@ -63,15 +63,15 @@ def motions(problem: Problem) -> Iterator[Found]:
     left, pairs = list(range(len(problem.goals))), Pairs()
     for finder in finders_of(problem):
         remaining = problem.with_goals(*left)
-        budget = replace(Budget.from_problem(remaining), pairs=pairs)
+        state = SearchState(np.full(len(left), math.inf), pairs)
         try:
-            for group in finder.paths(remaining, budget):
-                for place, motion in _motions_near(remaining, group, budget):
+            for group in finder.paths(remaining, state):
+                for place, motion in _motions_near(remaining, group, state):
                     yield left[place], motion
         except FailuresError as error:
             failures |= zip(left, error.errors, strict=True)
             left = [number for number in left if not isinstance(failures[number], NoPathError)]
-        if math.isfinite(budget.best_s):
+        if math.isfinite(state.best_s):
             return
         if not left:
             break  # no path leads to any goal: further search is futile
@@ -99,7 +99,7 @@ def finders_of(problem: Problem) -> Sequence[PathFinder]:
     found = None if specialist is None else specialist.path_finders(problem)
     if found is None:
         found = (FirstPaths(),) if problem.effort.at_once else (StraightLine(), Trees(), LongTrees())
-    return found if problem.effort.long.pairs else [finder for finder in found if not isinstance(finder, LongTrees)]
+    return found if problem.effort.long_pairs else [finder for finder in found if not isinstance(finder, LongTrees)]
 
 
 def reuse_motion(problem: Problem, previous: Motion) -> Motion | None:
@@ -150,29 +150,29 @@ def prove_each_goal(problem: Problem) -> list[NoPathError | None]:
     return specialist.prove_infeasible(problem)
 
 
-def _motions_near(problem: Problem, group: Sequence[Path], budget: Budget) -> Iterator[Found]:
+def _motions_near(problem: Problem, group: Sequence[Path], state: SearchState) -> Iterator[Found]:
     """Motions near a group of paths that are faster than all before.
 
-    The budget notes their durations.
+    The state notes their durations.
     """
     number = group[0].goal
     one = problem.with_goals(number)
     margin = one.margin if group[0].margin is None else group[0].margin
-    budget.error = None
+    state.error = None
     try:
-        if budget.effort.at_once:
+        if problem.effort.at_once:
             found = improve(motion_along(one, group[0], margin))
         else:
-            found = iter((quickest(one, group, margin, quicker_than_s=budget.best_s),))
+            found = iter((quickest(one, group, margin, quicker_than_s=state.best_s),))
         for motion in found:
-            is_faster = motion.trajectory.duration < budget.best_s
-            budget.durations[number] = min(float(budget.durations[number]), motion.trajectory.duration)
+            is_faster = motion.trajectory.duration < state.best_s
+            state.durations[number] = min(float(state.durations[number]), motion.trajectory.duration)
             if is_faster:
                 yield number, motion
     except (CertificationError, TimingError) as error:
-        if isinstance(error, TimingError) and group[0].origin == "direct" and not budget.effort.at_once:
+        if isinstance(error, TimingError) and group[0].origin == "direct" and not problem.effort.at_once:
             raise
-        budget.error = error.with_traceback(None)
+        state.error = error.with_traceback(None)
 
 
 def _rest(problem: Problem) -> Motion:

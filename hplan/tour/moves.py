@@ -21,7 +21,7 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.planning.effort import CLOSE, NO_TREES
+from hplan.planning.effort import CLOSE
 from hplan.planning.failures import NO_MOTION, FailuresError
 from hplan.planning.motion import Motion, best_of, seconds
 from hplan.planning.path_finder import Path, is_straight_clear, path_time, shorten_path, tree_paths
@@ -142,7 +142,7 @@ class Moves:
             elif key in self._routes:
                 self._plan(key, motion_near(problem, self._routes.pop(key)))
             elif key in self._blocked:
-                routes = tree_paths(problem, replace(problem.effort.trees, pairs=1))
+                routes = tree_paths(problem, 1)
                 least_s = [path_time(shorten_path(problem, path), problem.robot.velocity_limit) for path in routes]
                 if least_s and least_s[0] < self._joins[loaded].duration_between(a, b):
                     self._routes[key] = routes
@@ -151,8 +151,7 @@ class Moves:
                 else:
                     self._plan(key, None)
             elif is_straight_clear(problem):
-                trees = replace(problem.effort.trees, pairs=1)
-                effort = replace(problem.effort, trees=trees, long=NO_TREES, proof_nodes=0.0)
+                effort = replace(problem.effort, pairs=1, long_pairs=0, proof_nodes=0.0)
                 self._plan(key, _first_transit(replace(problem, effort=effort), at_once=True))
             else:
                 self._block(key)

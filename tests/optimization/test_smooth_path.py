@@ -20,7 +20,7 @@ from hplan.optimization.coarse_profile import coarse_profile
 from hplan.optimization.minimize_time import Level, OptimizerEffort
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.push_clear import clear_spline
-from hplan.optimization.several_starts import StartsEffort, fastest_motions, optimization_starts
+from hplan.optimization.several_starts import fastest_motions, optimization_starts
 from hplan.optimization.shortcut import shorten
 from hplan.optimization.smooth_path import clear_path, short_path
 from hplan.optimization.time_problem import TimeProblem
@@ -337,7 +337,7 @@ def test_culled_obstacles_are_not_touched(robot, options, monkeypatch):
 
 START, GOAL = np.array([0.15, 1.2, 0.3, 0.3]), np.array([0.15, 0.1, 0.3, 0.3])
 LEVELS = (Level(0.1, (15, 30), 10, 1e-2, 0.2), Level(0.05, (20, 40), 3, 1e-2, 0.05))
-EFFORT = StartsEffort(OptimizerEffort(LEVELS), rough=4, others=1, finished=1)
+EFFORT = OptimizerEffort(LEVELS, rough=4, others=1)
 
 
 @pytest.fixture(scope="module")

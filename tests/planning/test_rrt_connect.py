@@ -15,7 +15,6 @@ from hplan.base.arrays import FloatArray
 from hplan.collision.coal_scene import CoalScene
 from hplan.optimization.shortcut import shorten
 from hplan.optimization.smooth_path import START_SHORTCUTS
-from hplan.planning.effort import TreesEffort
 from hplan.planning.path_finder import path_time, tree_paths
 from hplan.planning.plan import plan
 from hplan.planning.problem import Problem
@@ -104,7 +103,7 @@ def test_of_several_each_pair_is_one_that_grows_alone(robot: Robot, blocked: tup
     grown = (path_of(problem, 50_000, seed) for seed in range(3))
     alone = [path for path in grown if path is not None]
     times = [path_time(shorten(path, world.field, margin=MARGIN, rounds=START_SHORTCUTS), velocity) for path in alone]
-    paths = tree_paths(problem, TreesEffort(3, 50_000))
+    paths = tree_paths(problem, 3, queries=50_000)
     shorter = (shorten(path.waypoints, world.field, margin=MARGIN, rounds=START_SHORTCUTS) for path in paths)
     assert [path_time(points, velocity) for points in shorter] == pytest.approx(sorted(times), abs=1e-9)
     assert all(any(np.array_equal(path.waypoints, other) for other in alone) for path in paths)

@@ -32,7 +32,6 @@ from hplan.planning.path_finder import (
     LongTrees,
     Path,
     PathFinder,
-    SearchState,
     Trees,
     describe_trees,
     is_straight_clear,
@@ -75,13 +74,13 @@ def path_finders(problem: Problem) -> Sequence[PathFinder] | None:
     return (TwoLevelGrid(), LongTrees())
 
 
-class TwoLevelGrid:
+class TwoLevelGrid(PathFinder):
     """Two-level A* on the grid over the planar joints.
 
     Finer grids and grown obstacles are fallbacks.
     """
 
-    def paths(self, problem: Problem, state: SearchState) -> Iterator[tuple[Path, ...]]:
+    def paths(self, problem: Problem) -> Iterator[tuple[Path, ...]]:
         """Yield the grid path with its alternatives.
 
         Ends when one leads to a certified motion.
@@ -94,7 +93,7 @@ class TwoLevelGrid:
             if number in failures:
                 continue
             try:
-                yield from self._paths_to(problem.with_goals(number), number, state)
+                yield from self._paths_to(problem.with_goals(number), number)
             except NoPathError as error:
                 failures[number] = error.plain if isinstance(error, EnclosedError) and number else error
                 error.with_traceback(None)  # it would keep grids in memory
@@ -107,7 +106,7 @@ class TwoLevelGrid:
                 return
         raise FailuresError(tuple(failures[number] for number in range(len(problem.goals))))
 
-    def _paths_to(self, problem: Problem, number: int, state: SearchState) -> Iterator[tuple[Path, ...]]:
+    def _paths_to(self, problem: Problem, number: int) -> Iterator[tuple[Path, ...]]:
         """Yield paths to one goal until one leads to a certified motion.
 
         Raises if all fail.
@@ -129,12 +128,12 @@ class TwoLevelGrid:
                     break  # grown obstacles close the passage, and the motion without growth could not be certified
                 found = Path(route.path, "search", number, route, margin)
                 yield (found, *(path._replace(goal=number, margin=margin) for path in self._alternatives(problem)))
-                if state.error is None:
+                if self.error is None:
                     return
-                if isinstance(state.error, TimingError):
-                    raise state.error
-                if isinstance(state.error, CertificationError):
-                    failure = failure or state.error
+                if isinstance(self.error, TimingError):
+                    raise self.error
+                if isinstance(self.error, CertificationError):
+                    failure = failure or self.error
         coarsest = max(problem.options.step_deg, COARSEST_DEG)
         tried = [] if any(fitting) else [f"no grid of {coarsest:g} deg or less has fewer than {MOST_CELLS:.3g} nodes"]
         raise failure or NotFoundError(

@@ -1,14 +1,14 @@
 """Path finders: straight lines, pairs of trees, and additions by specialists.
 
 A path finder yields groups of paths to one goal. The solver (`hplan.planning.solver`) makes the fastest certified
-motion of each group, notes its duration in the state, and requests the next group as long as that may be worthwhile.
+motion of each group, notes its duration in the finder, and requests the next group as long as that may be worthwhile.
 """
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -74,30 +74,31 @@ class Path(NamedTuple):
     margin: float | None = None
 
 
-@dataclass
-class SearchState:
-    """Intermediate results of a search; finders read them to decide whether to go on.
+class PathFinder(ABC):
+    """Finds paths from the start of a problem to its goals.
+
+    A finder serves one search. The solver notes what came of the paths, and the finder reads that to decide whether to
+    go on.
 
     Attributes:
         durations: (n,) duration of the fastest certified motion to each goal; inf without one [s].
-        pairs: Trees that have not met yet and can grow on.
         error: Why the last group led to no certified motion; None if it led to one.
+        pairs: Trees that have not met yet and can grow on.
     """
 
-    durations: FloatArray
-    pairs: Pairs = field(default_factory=dict)
-    error: HplanError | None = None
+    def __init__(self) -> None:
+        """Start without results; the solver sets durations and pairs."""
+        self.durations = np.zeros(0)
+        self.error: HplanError | None = None
+        self.pairs: Pairs = {}
 
     @property
     def best_s(self) -> float:
         """Duration of the fastest certified motion; inf without one [s]."""
         return float(self.durations.min())
 
-
-class PathFinder(Protocol):
-    """Finds paths from the start of a problem to its goals."""
-
-    def paths(self, problem: Problem, state: SearchState) -> Iterator[tuple[Path, ...]]:
+    @abstractmethod
+    def paths(self, problem: Problem) -> Iterator[tuple[Path, ...]]:
         """Yield groups of alternative paths to one goal each.
 
         Raises:
@@ -115,13 +116,13 @@ def is_straight_clear(problem: Problem) -> bool:
     return problem.field.is_clear(straight_path(problem).waypoints, problem.margin)
 
 
-class StraightLine:
+class StraightLine(PathFinder):
     """The straight line to the first goal with a free one."""
 
     #: A goal is searched with trees if its lower bound is below this fraction of the straight motion's duration.
     _WORTHWHILE = 0.7
 
-    def paths(self, problem: Problem, state: SearchState) -> Iterator[tuple[Path, ...]]:
+    def paths(self, problem: Problem) -> Iterator[tuple[Path, ...]]:
         """Yield the line, then paths to goals that may be much faster.
 
         The latter have an obstructed line.
@@ -130,40 +131,42 @@ class StraightLine:
             if not is_straight_clear(problem.with_goals(number)):
                 continue
             yield (straight_path(problem, number),)
-            if math.isinf(state.durations[number]):
+            if math.isinf(self.durations[number]):
                 continue  # another path may lead to a motion that can be certified
-            enough = self._WORTHWHILE * state.durations[number]
+            enough = self._WORTHWHILE * self.durations[number]
             better = (other for other in range(number) if problem.with_goals(other).least_duration < enough)
             if (sooner := next(better, None)) is not None:
-                yield from Trees().paths_to(problem, sooner, replace(state, pairs={}))
+                trees = Trees()
+                trees.durations = self.durations
+                yield from trees.paths_to(problem, sooner)
             return
 
 
-class Trees:
+class Trees(PathFinder):
     """Paths of pairs of trees (RRT-Connect), later of several homotopy classes."""
 
-    def paths(self, problem: Problem, state: SearchState) -> Iterator[tuple[Path, ...]]:
+    def paths(self, problem: Problem) -> Iterator[tuple[Path, ...]]:
         """Yield paths to the first reachable goal, or to several faster ones."""
         compared = problem.effort.compared
         for number in range(min(len(problem.goals), max(_ONE_BY_ONE, compared))):
-            is_found = math.isfinite(state.best_s)
-            if is_found and (compared == 1 or problem.with_goals(number).least_duration >= state.best_s):
+            is_found = math.isfinite(self.best_s)
+            if is_found and (compared == 1 or problem.with_goals(number).least_duration >= self.best_s):
                 continue
-            yield from self.paths_to(problem, number, state)
+            yield from self.paths_to(problem, number)
 
-    def paths_to(self, problem: Problem, number: int, state: SearchState) -> Iterator[tuple[Path, ...]]:
+    def paths_to(self, problem: Problem, number: int) -> Iterator[tuple[Path, ...]]:
         """Yield one pair's path to a goal, then several pairs'.
 
         The others are skipped if the motion is close to the fastest.
         """
         one = problem.with_goals(number)
-        first = tree_paths(one, 1, pairs=state.pairs)
+        first = tree_paths(one, 1, pairs=self.pairs)
         if first:
             yield (first[0]._replace(goal=number),)
-        if state.durations[number] <= problem.effort.close * one.least_duration:
+        if self.durations[number] <= problem.effort.close * one.least_duration:
             return
-        found = tree_paths(one, problem.effort.pairs, known=first, grown=1, pairs=state.pairs)
-        if math.isfinite(state.durations[number]):  # the motion near the first
+        found = tree_paths(one, problem.effort.pairs, known=first, grown=1, pairs=self.pairs)
+        if math.isfinite(self.durations[number]):  # the motion near the first
             found = [path for path in found if path is not first[0]]
         group = (*self.other_paths(one, number), *(path._replace(goal=number) for path in found))
         if group:
@@ -175,10 +178,10 @@ class Trees:
         return ()
 
 
-class LongTrees:
+class LongTrees(PathFinder):
     """Paths of trees with a larger budget, to whichever goal they reach."""
 
-    def paths(self, problem: Problem, state: SearchState) -> Iterator[tuple[Path, ...]]:
+    def paths(self, problem: Problem) -> Iterator[tuple[Path, ...]]:
         """Yield a group for each pair that meets.
 
         If the trees grow for one goal after the other, yield a group for each goal after all pairs have grown.
@@ -186,28 +189,28 @@ class LongTrees:
         found: dict[int, list[Path]] = {}
         seeds, each = long_trees(problem)
         for seed in seeds:
-            path, evaluations = tree_to_any(problem, each, seed, state.pairs)
+            path, evaluations = tree_to_any(problem, each, seed, self.pairs)
             if path is None:
                 continue
             found.setdefault(path.goal, []).append(path)
             if not problem.effort.long_stops_early:
                 continue
             yield (path,)
-            if state.error is None and math.isfinite(state.best_s):
-                if state.best_s <= FAR_FROM_BOUND * problem.with_goals(path.goal).least_duration:
+            if self.error is None and math.isfinite(self.best_s):
+                if self.best_s <= FAR_FROM_BOUND * problem.with_goals(path.goal).least_duration:
                     return
                 # A second pair that takes about as long as this one did.
                 each = min(each, max(_SHORT, 3 * evaluations // 2))
         for paths in found.values():
-            if math.isfinite(state.best_s) or problem.effort.long_stops_early:
+            if math.isfinite(self.best_s) or problem.effort.long_stops_early:
                 return
             yield tuple(paths)
 
 
-class FirstPaths:
+class FirstPaths(PathFinder):
     """The first promising paths: straight lines, then trees."""
 
-    def paths(self, problem: Problem, state: SearchState) -> Iterator[tuple[Path, ...]]:
+    def paths(self, problem: Problem) -> Iterator[tuple[Path, ...]]:
         """Yield single paths until one leads to a certified motion.
 
         Raises:
@@ -215,7 +218,7 @@ class FirstPaths:
         """
         for path in self._candidates(problem):
             yield (path,)
-            if math.isfinite(state.best_s):
+            if math.isfinite(self.best_s):
                 return
 
     def _candidates(self, problem: Problem) -> Iterator[Path]:

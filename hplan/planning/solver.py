@@ -25,7 +25,6 @@ from hplan.planning.path_finder import (
     LongTrees,
     Path,
     PathFinder,
-    SearchState,
     StraightLine,
     Trees,
     describe_trees,
@@ -63,15 +62,15 @@ def motions(problem: Problem) -> Iterator[Found]:
     left, pairs = list(range(len(problem.goals))), Pairs()
     for finder in finders_of(problem):
         remaining = problem.with_goals(*left)
-        state = SearchState(np.full(len(left), math.inf), pairs)
+        finder.durations, finder.pairs = np.full(len(left), math.inf), pairs
         try:
-            for group in finder.paths(remaining, state):
-                for place, motion in _motions_near(remaining, group, state):
+            for group in finder.paths(remaining):
+                for place, motion in _motions_near(remaining, group, finder):
                     yield left[place], motion
         except FailuresError as error:
             failures |= zip(left, error.errors, strict=True)
             left = [number for number in left if not isinstance(failures[number], NoPathError)]
-        if math.isfinite(state.best_s):
+        if math.isfinite(finder.best_s):
             return
         if not left:
             break  # no path leads to any goal: further search is futile
@@ -150,29 +149,29 @@ def prove_each_goal(problem: Problem) -> list[NoPathError | None]:
     return specialist.prove_infeasible(problem)
 
 
-def _motions_near(problem: Problem, group: Sequence[Path], state: SearchState) -> Iterator[Found]:
+def _motions_near(problem: Problem, group: Sequence[Path], finder: PathFinder) -> Iterator[Found]:
     """Motions near a group of paths that are faster than all before.
 
-    The state notes their durations.
+    The finder learns their durations.
     """
     number = group[0].goal
     one = problem.with_goals(number)
     margin = one.margin if group[0].margin is None else group[0].margin
-    state.error = None
+    finder.error = None
     try:
         if problem.effort.at_once:
             found = improve(motion_along(one, group[0], margin))
         else:
-            found = iter((quickest(one, group, margin, quicker_than_s=state.best_s),))
+            found = iter((quickest(one, group, margin, quicker_than_s=finder.best_s),))
         for motion in found:
-            is_faster = motion.trajectory.duration < state.best_s
-            state.durations[number] = min(float(state.durations[number]), motion.trajectory.duration)
+            is_faster = motion.trajectory.duration < finder.best_s
+            finder.durations[number] = min(float(finder.durations[number]), motion.trajectory.duration)
             if is_faster:
                 yield number, motion
     except (CertificationError, TimingError) as error:
         if isinstance(error, TimingError) and group[0].origin == "direct" and not problem.effort.at_once:
             raise
-        state.error = error.with_traceback(None)
+        finder.error = error.with_traceback(None)
 
 
 def _rest(problem: Problem) -> Motion:

@@ -239,6 +239,8 @@ def measure_plan(folder: Path, count: int) -> list[float]:
         print(f"memory of the node: {memory_mb(process):.0f} MB")
     peer.close()
     print(describe(f"frame of {CLOUD:,} points to the new motion", found))
+    inside = [event["reaction_ms"] for event in peer.events if event.get("reaction_ms") is not None]
+    print(describe("of which in the node", inside))
     print(f"{len(found)} of {count} frames led to a new motion, {stops} of these to a stop")
     return found
 

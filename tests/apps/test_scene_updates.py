@@ -9,7 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hplan.apps.ros import SceneUpdates, cloud_points, from_joint_trajectory, joint_trajectories, read_planning_scene
+from hplan.apps.ros import (
+    SceneUpdates,
+    cloud_points,
+    from_joint_trajectory,
+    joint_trajectories,
+    read_planning_scene,
+    to_joint_trajectory,
+)
+from hplan.apps.ros.mcap_file import _Encoder
 from hplan.errors import InputError, OptionError, SceneError
 from hplan.robot.model import Robot
 
@@ -185,3 +193,28 @@ def test_cloud_as_object_and_dict() -> None:
     for data in (points.tobytes(), list(points.tobytes()), array("B", points.tobytes())):
         for form in (dict, as_object):
             np.testing.assert_array_equal(cloud_points(form({**content, "data": data})), points)
+
+
+def test_objects_of_rosbags(robot: Robot) -> None:
+    """Decoded messages have arrays of NumPy, also a cloud with bytes between its points and its rows."""
+    typesys = pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+    expected = from_joint_trajectory(points_of(robot), robot=robot)
+    message = to_joint_trajectory(expected)
+    kind = "trajectory_msgs/msg/JointTrajectory"
+    decoded = store.deserialize_cdr(store.serialize_cdr(_Encoder(store).message(kind, message), kind), kind)
+    found = from_joint_trajectory(decoded, robot=robot)
+    np.testing.assert_array_equal(found.position, expected.position)
+    assert found.interpolation == "cubic"
+    points = np.random.default_rng(0).normal(size=(2, 3, 3)).astype(np.float32)
+    data = np.zeros((2, 3 * 20 + 4), dtype=np.uint8)  # 20 bytes for each point, x at 4; 4 bytes after each row
+    for row, column in np.ndindex(2, 3):
+        data[row, 20 * column + 4 : 20 * column + 16] = points[row, column].view(np.uint8)
+    field, cloud, header, time = (
+        store.types[name]
+        for name in ("sensor_msgs/msg/PointField", "sensor_msgs/msg/PointCloud2", "std_msgs/msg/Header",
+                     "builtin_interfaces/msg/Time")
+    )  # fmt: skip
+    fields = [field(name=name, offset=offset, datatype=7, count=1) for name, offset in (("z", 12), ("x", 4), ("y", 8))]
+    message = cloud(header(time(0, 0), "base_link"), 2, 3, fields, False, 20, 64, data.ravel(), False)
+    np.testing.assert_array_equal(cloud_points(message), points.reshape(-1, 3))

@@ -7,7 +7,9 @@ They are read once, at the start.
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import os
+import re
 import signal
 import tempfile
 import warnings
@@ -138,10 +140,10 @@ def read_parameters(node: Any, *kinds: type[Options]) -> list[Any]:
             raise OptionError(name, "a parameter", f"a parameter of this node; {nearest_name(name, names)}")
     found = []
     for kind in kinds:
-        values = dict[str, Any]()
+        values, described = dict[str, Any](), describe_fields(kind)
         for field in dataclasses.fields(kind):  # type: ignore[arg-type]
             default: Any = field.default
-            descriptor = ParameterDescriptor(description=f"{kind.__name__}.{field.name}", read_only=True)
+            descriptor = ParameterDescriptor(description=described.get(field.name, ""), read_only=True)
             # The type of an empty list cannot be seen.
             is_list = isinstance(default, tuple)
             numbers = is_list and bool(default) and isinstance(default[0], float)
@@ -154,6 +156,18 @@ def read_parameters(node: Any, *kinds: type[Options]) -> list[Any]:
             values[field.name] = default if given is None else tuple(given) if is_list else given
         found.append(kind(**values))
     return found
+
+
+def describe_fields(kind: type[Options]) -> dict[str, str]:
+    """Description of each field, from the attributes in the docstring of a dataclass.
+
+    Examples:
+        >>> describe_fields(NodeOptions)
+        {'diagnostics_period_s': "Period of the node's state on `/diagnostics` [s]; 0 for none."}
+    """
+    _, _, attributes = (inspect.getdoc(kind) or "").partition("Attributes:\n")
+    found = re.findall(r"^    (\w+): (.+(?:\n {6,}.+)*)", attributes, re.MULTILINE)
+    return {name: " ".join(text.split()) for name, text in found}
 
 
 def _override(node: Any, name: str) -> Any:

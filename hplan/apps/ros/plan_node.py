@@ -158,6 +158,7 @@ def make_node() -> Any:
 
         def see_points(self, cloud: Any) -> None:
             """Take a cloud, and replan if it invalidates the running motion."""
+            began = time.perf_counter()
             try:
                 frame = cloud.header.frame_id.removeprefix("/")
                 pose = None
@@ -168,17 +169,18 @@ def make_node() -> Any:
                 self.note("cloud refused", error=error)
                 return
             self.count("clouds")
-            self.react()
+            self.react(began)
 
         def see_scene(self, message: Any) -> None:
             """Take a planning scene, and replan if it invalidates the running motion."""
+            began = time.perf_counter()
             assert self.updates is not None
             try:
                 self.updates.apply(message)
             except HplanError as error:
                 self.note("planning scene refused", error=error)
             self.take_obstacles()
-            self.react()
+            self.react(began)
 
         def take_obstacles(self) -> None:
             """Give the planner the obstacles of the planning scene."""
@@ -244,20 +246,22 @@ def make_node() -> Any:
                 answer.message = f"at rest in {command.ends_s - self.now_s():.3f} s"
             return answer
 
-        def react(self) -> None:
-            """Replace the running motion if it is no longer certified."""
+        def react(self, began: float) -> None:
+            """Replace the running motion if it is no longer certified; the message arrived at `began` [s]."""
             if self.of_output.replan:
                 command = self.session.react()
                 if command is not None:
-                    self.send(command)
+                    self.send(command, began)
 
-        def send(self, command: Command) -> None:
+        def send(self, command: Command, began: float | None = None) -> None:
             """Send a command, and show it."""
             self.controller.send(command, self.epoch_ns)
+            reaction_ms = None if began is None else round(1e3 * (time.perf_counter() - began), 3)
             certificate = command.certificate
             self.note(
                 "sent", kind=command.kind, number=command.number, duration_s=command.trajectory.duration,
                 clearance_m=certificate.min_clearance_m, verified=certificate.verified, reason=command.reason,
+                reaction_ms=reaction_ms,
             )  # fmt: skip
             self.show(motion_markers(self.robot, command.trajectory, certificate, self.base_frame))
 

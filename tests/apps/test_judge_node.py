@@ -135,6 +135,7 @@ def test_planning_scene_gives_the_obstacles(client: Client, motion: hplan.PlanRe
 def test_controller_gets_verified_goals_only(client: Client, motion: hplan.PlanResult) -> None:
     from control_msgs.action import FollowJointTrajectory
     from rclpy.action import ActionClient, ActionServer
+    from sensor_msgs.msg import JointState
 
     received: list[Any] = []
 
@@ -148,8 +149,13 @@ def test_controller_gets_verified_goals_only(client: Client, motion: hplan.PlanR
                       "-p", "controller:=/arm/follow_joint_trajectory"):  # fmt: skip
         guard = ActionClient(client.node, FollowJointTrajectory, f"{JUDGE}/follow_joint_trajectory")
         client.wait(guard.server_is_ready)
-        client.spin(0.5)
-        for content, accepted in ((through(motion), False), (around(motion), True)):
+        states = client.connect(client.node.create_publisher(JointState, "joint_states", 10))
+        names, start = list(motion.trajectory.joint_names), motion.trajectory.position[0]
+        goals = ((start + 0.1, around, False), (start, through, False), (start, around, True))
+        for here, make, accepted in goals:
+            states.publish(JointState(name=names, position=here.tolist()))
+            client.spin(0.5)
+            content = make(motion)
             goal = to_message(FollowJointTrajectory.Goal, {"trajectory": content})
             answer = guard.send_goal_async(goal)
             client.wait(answer.done)

@@ -10,8 +10,8 @@
 | `joint_states` | `sensor_msgs/msg/JointState` | in: positions of joints that a motion does not move |
 | `/diagnostics` | `diagnostic_msgs/msg/DiagnosticArray` | out: the last verdict and the counts |
 
-With `controller`, the node also serves `~/follow_joint_trajectory`: goals that are not verified are rejected, others
-are handed on to the controller's action, with feedback, cancellation and result.
+With `controller`, the node also serves `~/follow_joint_trajectory`: goals that are not verified, or do not begin where
+the arm is, are rejected; others are handed on to the controller's action, with feedback, cancellation and result.
 """
 
 from __future__ import annotations
@@ -47,6 +47,9 @@ MOTIONS = {
     "display_trajectory": "moveit_msgs/msg/DisplayTrajectory",
 }
 
+#: Default distance of the arm from the start of a motion that a controller runs [rad, m], as in MoveIt.
+START_TOLERANCE = 0.01
+
 _ACTION = "control_msgs/action/FollowJointTrajectory"
 
 
@@ -55,7 +58,8 @@ class RelayOptions(Options):
     """Parameters of the judge's connections.
 
     Attributes:
-        controller: Action of the controller that verified goals are handed on to; empty for none.
+        controller: Action of the controller that verified goals are handed on to; empty for none. The arm must then be
+            at the start of a motion, within `start_tolerance` or, if that is 0, 0.01 rad.
         fetch_scene: Whether the node asks `get_planning_scene` for the whole planning scene at the start.
     """
 
@@ -78,6 +82,8 @@ def make_node() -> Any:
             super().__init__("hplan_judge")
             kinds = (RobotOptions, JudgeOptions, RelayOptions, NodeOptions)
             self.of_robot, self.of_judge, self.of_relay, of_node = read_parameters(self, *kinds)
+            if self.of_relay.controller and self.of_judge.start_tolerance == 0.0:
+                self.of_judge = self.of_judge.with_values(start_tolerance=START_TOLERANCE)
             robot, scene = load_arm(self, self.of_robot)
             self.updates = watch_scene(self, self.of_robot, self.see_scene, fetch=self.of_relay.fetch_scene)
             self.judge = Judge(robot, scene, self.of_judge, updates=self.updates)

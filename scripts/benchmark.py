@@ -48,6 +48,7 @@ STUDIES = {
     "cell_trees": "cell_trees:CELL_TREES",
     "wood_static": "wood:WOOD_STATIC",
     "wood_moving": "wood:WOOD_MOVING",
+    "wood_picks": "wood:WOOD_PICKS",
 }
 
 #: Other planners that can solve the problems of a study.

@@ -1,7 +1,8 @@
 """Trees that bend in MuJoCo, against beam theory and against the bounds of contact.
 
 `wood_static` pushes random points of random limbs with a force across the limb, in equilibrium. `wood_moving` moves a
-ball or a capsule against a random limb, up to a permitted depth, with speeds as planned.
+ball or a capsule against a random limb, up to a permitted depth, with speeds as planned. `wood_picks` plans certified
+picks and executes them.
 """
 
 from __future__ import annotations
@@ -16,17 +17,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from studies.harness import Row, Study, StudyConfig
+from studies.harness import Row, Study, StudyConfig, evenly_chosen
+from studies.measure import planned
 
 from hplan.apps.execution.bending_wood import BendingTrees, WoodBodies
 from hplan.apps.execution.simulated_arm import import_mujoco
+from hplan.apps.execution.simulation import execute
 from hplan.apps.execution.tree_response import TreeMonitor
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.certificate.pushes import Load
+from hplan.errors import InputError
+from hplan.planning.options import PlanOptions
+from hplan.planning.reachable import reachable
+from hplan.robot.model import Robot
 from hplan.scene.limbs import Limbs, find_parents
 from hplan.scene.model import Fruit, Goal, Scene, Start, with_limbs
 from hplan.scene.obstacle_kind import ContactLimit
-from hplan.scene.orchard import import_tree
+from hplan.scene.orchard import MeasuredOptions, import_tree, measured_orchard
 from hplan.scene.wood import Wood
 
 #: Minimum distance of a push from the start of its segment, in radii: nearer to it, limbs do not bend like beams.
@@ -433,6 +440,105 @@ WOOD_MOVING = Study(
     problems=_pushes,
     by="tree",
     count=(527, 1),
+    needs=("trees",),
+    peers=(),
+    warm=0,
+)
+
+
+# Picks.
+
+#: Distances of the trees from the arm [m].
+PICK_DISTANCES = (1.2, 1.5)
+
+
+@dataclass(frozen=True)
+class PickProblem:
+    """A fruit to pick from a tree: its name, the tree's file, its distance from the arm [m] and the fruit."""
+
+    name: str
+    tree: Path
+    distance: float
+    fruit: str
+
+
+@lru_cache(maxsize=2)
+def _orchard(tree: Path, distance: float) -> Scene:
+    return with_limbs(measured_orchard([tree], MeasuredOptions(distance=distance, yaw_deg=180.0)))
+
+
+def _picks(config: StudyConfig) -> Iterable[PickProblem]:
+    """Fruit that can be picked from each tree at each distance, evenly spread; `count` is the number for each tree."""
+    robot = config.arm("orchard_harvester")
+    found = [
+        PickProblem(f"{file.stem} at {distance:g} m: {name}", file, distance, name)
+        for file in sorted((config.trees or Path()).glob("*.csv"))
+        for distance in PICK_DISTANCES
+        for name in _within_reach(robot, _orchard(file, distance))
+    ]
+    return evenly_chosen(found, config.count, lambda problem: problem.tree.stem)
+
+
+def _within_reach(robot: Robot, scene: Scene) -> list[str]:
+    """Names of the fruit with a grasp and an approach; none if the arm has no room."""
+    try:
+        return [name for name, fruit in reachable(robot, scene).items() if fruit.can_be_picked]
+    except InputError:
+        return []
+
+
+def _pick(config: StudyConfig, problem: PickProblem) -> Row:
+    """A certified pick, executed among trees that bend; forces relative to the certificate's bounds."""
+    robot = config.arm("orchard_harvester")
+    scene = _orchard(problem.tree, problem.distance).with_values(goal=Goal(fruit=problem.fruit))
+    result, row = planned(robot, scene, PlanOptions(effort=config.effort))
+    row |= {"name": problem.name, "tree": problem.tree.stem}
+    if result is None or not result.certificate.verified:
+        return row
+    pushes, frames = result.certificate.pushes or (), robot.model.frames
+    executed = execute(robot, scene, result.trajectory, trees=BendingTrees())
+    trees = executed.trees
+    if trees is None:
+        return row
+    forces, stresses = defaultdict[tuple[str, int], float](float), defaultdict[tuple[str, int], float](float)
+    for push in pushes:
+        key = push.obstacle, int(frames[robot.frame_number(push.link)].parentJoint)
+        forces[key] = max(forces[key], push.force_n or 0.0)
+        stresses[key] = max(stresses[key], push.stress_mpa or 0.0)
+    force_ratio = stress_ratio = 0.0
+    for one in trees.contacts:
+        key = one.limb, int(frames[robot.frame_number(one.link)].parentJoint)
+        force_ratio = max(force_ratio, one.force_n / forces[key] if key in forces else math.inf)
+        stress_ratio = max(stress_ratio, one.stress_mpa / stresses[key] if stresses.get(key) else 0.0)
+    grasp_s = result.picked_fruit[problem.fruit]
+    moved, bound = trees.displacement_at(problem.fruit, grasp_s), result.certificate.goal_displacement_m
+    return row | {
+        "pushes": len(pushes), "contacts": len(trees.contacts), "rigid_contacts": len(executed.contacts),
+        "force_n": max((one.force_n for one in trees.contacts), default=0.0),
+        "stress_mpa": max((one.stress_mpa for one in trees.contacts), default=0.0),
+        "force_ratio": force_ratio if trees.contacts else None,
+        "stress_ratio": stress_ratio if trees.contacts else None,
+        "goal_mm": None if moved is None else 1e3 * moved, "goal_bound_mm": None if bound is None else 1e3 * bound,
+        "broken": len(trees.broken), "knocked_off": len(trees.knocked_off),
+        "within_limits": trees.ok and not executed.contacts,
+        "fault": bool(
+            row.get("fault") or force_ratio > 1.0 or stress_ratio > 1.0 or executed.contacts or trees.broken
+            or trees.knocked_off or (moved is not None and bound is not None and moved > bound)
+        ),
+    }  # fmt: skip
+
+
+WOOD_PICKS = Study(
+    "wood_picks",
+    "certified picks executed among trees that bend (--trees); count for each tree",
+    _pick,
+    (
+        *("certified", "ms", "duration_s", "pushes", "contacts", "rigid_contacts", "within_limits", "force_n"),
+        *("force_ratio", "stress_mpa", "stress_ratio", "goal_mm", "goal_bound_mm", "broken", "knocked_off"),
+    ),
+    problems=_picks,
+    by="tree",
+    count=(30, 1),
     needs=("trees",),
     peers=(),
     warm=0,

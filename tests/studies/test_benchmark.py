@@ -12,6 +12,7 @@ import pytest
 from script_loader import load_script
 from studies import harness, reference
 from studies import trees as among_trees
+from studies import wood as bending_wood
 from studies.harness import Study, read_rows
 from studies.outside import TimedMotion
 from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
@@ -130,10 +131,12 @@ def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert needed in " ".join(capsys.readouterr().err.split())
 
 
-def test_trees_that_bend(tmp_path: Path) -> None:
+def test_trees_that_bend(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mujoco", reason="the extra `execution` is not installed")
+    monkeypatch.setattr(bending_wood, "PICK_DISTANCES", (1.6,))
     rows = ["kind,x1,y1,z1,x2,y2,z2,radius", "trunk,0,0,0,0,0,3,0.03"]
-    rows += [f"branch,0,0,{0.3 * i},-0.5,0,{0.3 * i},0.005" for i in range(1, 8)]
+    rows += [f"branch,0,0,{0.3 * i},0.5,0,{0.3 * i},0.005" for i in range(1, 8)]
+    rows += ["fruit,0.45,0,1.45,0.45,0,1.45,0.04"]
     (tmp_path / "t1.csv").write_text("\n".join(rows) + "\n")
     trees = str(tmp_path)
     (static,) = rows_of("wood_static", tmp_path, "--trees", trees)
@@ -141,6 +144,9 @@ def test_trees_that_bend(tmp_path: Path) -> None:
     moving = rows_of("wood_moving", tmp_path, "--trees", trees, "--count", "4")
     assert all(0.0 < row["force_ratio"] < 1.0 for row in moving if row["touched"])
     assert any(row["touched"] for row in moving)
+    (pick,) = rows_of("wood_picks", tmp_path, "--trees", trees)
+    assert pick["certified"]
+    assert pick["rigid_contacts"] == pick["broken"] == pick["knocked_off"] == 0
 
 
 def test_motions_of_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

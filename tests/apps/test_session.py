@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import math
 from types import SimpleNamespace
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 import hplan
+from hplan.apps.cli.main import main
 from hplan.apps.ros import to_joint_trajectory
 from hplan.apps.ros.arm_state import ArmState
 from hplan.apps.ros.controller import command_message, outcome_of
@@ -133,6 +135,17 @@ def test_arm_off_its_motion_is_stopped(world: World) -> None:
     stop = world.session.react()
     assert stop is not None
     assert "from the running motion" in stop.reason
+
+
+def test_node_without_ros_names_the_extra(capsys: pytest.CaptureFixture[str]) -> None:
+    if importlib.util.find_spec("rclpy") is not None:
+        pytest.skip("ROS is installed")
+    for node in ("judge", "plan"):
+        assert main(["ros", node, "--ros-args", "-p", "robot:=panda"]) == 2
+        assert "needs rclpy, which is not installed: pip install 'hplan[ros2]'" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["ros", "judge", "robot:=panda"])
+    assert "expected --ros-args, got 'robot:=panda'" in capsys.readouterr().err
 
 
 def test_outcomes() -> None:

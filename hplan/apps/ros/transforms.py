@@ -37,7 +37,10 @@ def time_ns(option: str, seconds: Any) -> int:
     """
     # A message has its seconds in a signed 32-bit integer.
     latest_s = 2.0**31 - 1.0
-    return round(Fraction(check_between(option, seconds, 0.0, latest_s)) * SECOND_NS)
+    numerator, denominator = check_between(option, seconds, 0.0, latest_s).as_integer_ratio()
+    whole, rest = divmod(numerator * SECOND_NS, denominator)
+    # To even, as `round` does.
+    return whole + (2 * rest > denominator or (2 * rest == denominator and whole % 2 == 1))
 
 
 def message_time(nanoseconds: int) -> dict[str, int]:

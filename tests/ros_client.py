@@ -15,31 +15,29 @@ import pytest
 import ros_interfaces
 
 
-def need_ros(*, interfaces: bool = True) -> None:
+def need_ros() -> None:
     """Skip a test file without rclpy; build the packages that have no wheels, and put them on the path."""
     pytest.importorskip("rclpy", reason="ROS is not installed: pip install 'hplan[ros2]'")
-    if interfaces:
-        missing = ros_interfaces.missing_tool()
-        if missing:
-            pytest.skip(missing, allow_module_level=True)
-        sys.path.insert(0, str(ros_interfaces.build(ros_interfaces.default_folder())))
+    missing = ros_interfaces.missing_tool()
+    if missing:
+        pytest.skip(missing, allow_module_level=True)
+    sys.path.insert(0, str(ros_interfaces.build(ros_interfaces.default_folder())))
     # Only on this machine, and apart from other test processes.
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     os.environ["ROS_DOMAIN_ID"] = str(10 + os.getpid() % 90)
 
 
 @contextmanager
-def node_process(*arguments: str, interfaces: bool = True) -> Iterator[subprocess.Popen[str]]:
-    """A node of `hplan ros`, ended by SIGINT; its exit status must be 0."""
-    path = [entry for entry in sys.path if interfaces or "interfaces-" not in entry]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, path))}
+def node_process(*arguments: str, end: int = signal.SIGINT) -> Iterator[subprocess.Popen[str]]:
+    """A node of `hplan ros`, ended by a signal; its exit status must be 0."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     command = [sys.executable, "-m", "hplan.apps.cli", "ros", *arguments]
     process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
     try:
         yield process
     finally:
         # A killed node would stay in the discovery of the next test.
-        process.send_signal(signal.SIGINT)
+        process.send_signal(end)
         try:
             errors = process.communicate(timeout=30)[1]
         except subprocess.TimeoutExpired:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -109,7 +110,7 @@ def test_planning_scene_gives_the_obstacles(client: Client, motion: hplan.PlanRe
         return response
 
     fetched = client.node.create_service(GetPlanningScene, "get_planning_scene", answer)
-    with node_process("judge", "--ros-args", "-p", "robot:=harvester"):
+    with node_process("judge", "--ros-args", "-p", "robot:=harvester", end=signal.SIGTERM):
         verdicts = client.collect(String, f"{JUDGE}/verdict")
         plain = client.connect(client.node.create_publisher(JointTrajectory, f"{JUDGE}/trajectory", 10))
         updates = client.connect(client.node.create_publisher(PlanningScene, "planning_scene", 10))

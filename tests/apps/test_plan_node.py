@@ -18,7 +18,9 @@ from hplan.apps.ros import to_message
 need_ros()
 
 NODE, ACTION = "/hplan_planner", "/arm/follow_joint_trajectory"
-FAR = ("-p", "scene:=table-1", "-p", "robot:=harvester", "-p", "warm_up:=false", "-p", "speed:=0.3")
+#: A slow motion, and times that hold on a busy machine.
+SLOW = ("-p", "scene:=table-1", "-p", "robot:=harvester", "-p", "warm_up:=false", "-p", "speed:=0.2")
+FAR = (*SLOW, "-p", "ahead_s:=0.8", "-p", "max_state_age_s:=60.0")
 
 
 class ControllerNode:
@@ -227,7 +229,7 @@ def test_cloud_in_the_way_makes_the_arm_give_way(client: Client, controller: Con
     from hplan.apps.ros.transforms import transform_message
 
     robot = hplan.load_robot()
-    with node_process("plan", "--ros-args", *FAR, "-p", f"controller:={ACTION}", "-p", "ahead_s:=0.4"):
+    with node_process("plan", "--ros-args", *FAR, "-p", f"controller:={ACTION}"):
         planning = Planning(client)
         clouds = client.connect(client.node.create_publisher(PointCloud2, "points", 1))
         transforms = client.connect(client.node.create_publisher(TFMessage, "/tf", 10))

@@ -72,6 +72,8 @@ def test_motion_is_kept_until_something_blocks_it(world: World) -> None:
     session = world.session
     first = session.move()
     assert (first.kind, first.number, session.is_moving) == ("motion", 1, True)
+    with pytest.raises(InputError, match="has not answered"):
+        session.move()
     assert first.begins_s == pytest.approx(10.05)
     message = command_message(first, 10**18)
     assert message["header"]["stamp"]["sec"] == 10**9 + 10
@@ -84,6 +86,7 @@ def test_motion_is_kept_until_something_blocks_it(world: World) -> None:
     assert (stop.kind, stop.certificate.verified) == ("stop", True)
     assert stop.reason
     assert session.react() is None
+    session.accept(2)
     with pytest.raises(InputError, match="is stopping"):
         session.move()
     assert not session.end(1)

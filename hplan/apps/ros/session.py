@@ -113,6 +113,7 @@ class Session:
         planner: The planner; its clock is the session's.
         arm: The state of the arm.
         sent: The last command that the controller did not reject, while it runs; None at rest.
+        is_pending: True while the controller has not answered the last command.
         fault: Why nothing may move, for example an unknown planning scene; empty if nothing forbids it.
     """
 
@@ -140,6 +141,7 @@ class Session:
         self.planner = Planner(robot, scene.with_values(clearance=self._clearance_m), plans)
         self.arm = ArmState(robot.joint_names, prefix=prefix, max_age_s=options.max_state_age_s)
         self.sent: Command | None = None
+        self.is_pending = False
         self.fault = ""
         self._from_messages: dict[str, Obstacle] = {}
         self._before = _Belief(None, None)
@@ -204,11 +206,13 @@ class Session:
             goal: The goal; None for the last one.
 
         Raises:
-            InputError: The arm is stopping, or its state is unknown.
+            InputError: The arm is stopping, its state is unknown, or the controller has not answered the last motion.
             HplanError: Any error of `Planner.plan` and `Planner.replan`.
         """
         self._check_fault()
         now_s = self._clock()
+        if self.is_pending:
+            raise InputError("the controller has not answered the last motion yet")
         if self.sent is not None and self.sent.kind == "stop":
             raise InputError("the arm is stopping; plan again when it rests")
         before = self.planner.scene.goal
@@ -238,10 +242,11 @@ class Session:
     def react(self) -> Command | None:
         """Certify the running motion anew after a change; returns what replaces it.
 
-        The motion is kept if it is still certified (None). Otherwise a new one takes over, or the arm stops.
+        The motion is kept if it is still certified, and until the controller has answered it (None). Otherwise a new
+        one takes over, or the arm stops.
         """
         now_s = self._clock()
-        if self.sent is None or self.sent.kind == "stop":
+        if self.sent is None or self.sent.kind == "stop" or self.is_pending:
             return None
         if self.fault:
             return self.stop(self.fault)
@@ -267,7 +272,7 @@ class Session:
     def accept(self, number: int) -> None:
         """Note that the controller has accepted a command."""
         if self.sent is not None and self.sent.number == number:
-            self._before = _Belief(None, None)
+            self._before, self.is_pending = _Belief(None, None), False
 
     def reject(self, number: int) -> Command | None:
         """Note that the controller has rejected a command; returns a stop if an older motion runs on.
@@ -277,14 +282,14 @@ class Session:
         if self.sent is None or self.sent.number != number:
             return None
         kind, self.sent, self.planner.last = self.sent.kind, self._before.command, self._before.last
-        self._before = _Belief(None, None)
+        self._before, self.is_pending = _Belief(None, None), False
         return self.stop("the controller rejected the motion that should take over") if kind == "splice" else None
 
     def end(self, number: int) -> bool:
         """Note that a command has ended, well or not; False if another one has replaced it."""
         if self.sent is None or self.sent.number != number:
             return False
-        self.sent = None
+        self.sent, self.is_pending = None, False
         return True
 
     def _check_fault(self) -> None:
@@ -325,7 +330,7 @@ class Session:
         self._count += 1
         begins_s = 0.0 if math.isnan(found.begins_s) else found.begins_s
         command = Command(self._count, kind, found.trajectory, begins_s, found.certificate, reason)
-        if self._before.command is None and self._before.last is None:
+        if not self.is_pending:
             self._before = _Belief(self.sent, before)
-        self.sent = command
+        self.sent, self.is_pending = command, True
         return command

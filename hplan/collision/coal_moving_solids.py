@@ -9,14 +9,11 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
+from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.collision.coal_shapes import solid_shape
 from hplan.geometry.cloud import Cloud
 from hplan.scene.obstacles import Solid
 from hplan.scene.tracks import Movement
-
-#: Rotations that tilt no axis from the vertical by more than this keep heights.
-_UPRIGHT_ROTATION = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,25 +87,6 @@ class MovingSolids(Record):
                 if group == len(found):
                     found.append(travel)
         return np.array(found), frozen(group_of)
-
-    def keep_below(self, below: BoolArray, height: float) -> BoolArray:
-        """(obstacles,) mask of the obstacles that always stay below a height [m].
-
-        `below` is the mask of the obstacles that are below it at their listed pose. A moving obstacle qualifies only if
-        its movement keeps it upright.
-        """
-        kept = below.copy()
-        for number in self.numbers:
-            movement, solid = self.movements[number], self.solids[number]
-            if movement is not None and below[number]:
-                rotations, shifts = movement.displacement_at(movement.breaks)
-                upright = all(
-                    (np.abs(part.turns[:, :2]) <= _UPRIGHT_ROTATION).all() for part in (movement.own, movement.base)
-                )
-                upright &= bool((np.abs(rotations[:, 2, 2] - 1.0) <= _UPRIGHT_ROTATION).all())
-                top = float(solid.core[:, 2].max()) + solid.rounding + float(shifts[:, 2].max())
-                kept[number] = upright and top <= height
-        return kept
 
 
 def largest_interval_rates(breaks: FloatArray, rates: FloatArray, clock: FloatArray) -> FloatArray:

@@ -157,9 +157,3 @@ class PlanarFamily(Record):
         ahead, across = self.shoulder_from_axis
         radius: FloatArray = np.hypot(abs(ahead) + np.cumsum(self.arm.lengths), across + self.arm.lateral)
         return radius
-
-    @property
-    def tool_radius(self) -> float:
-        """Maximum distance of the tool from the yaw axis [m]."""
-        ahead, across = self.shoulder_from_axis
-        return math.hypot(abs(ahead) + float(self.arm.lengths.sum()), across)

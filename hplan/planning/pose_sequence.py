@@ -49,7 +49,7 @@ from hplan.planning.plan import check_task, plan_result
 from hplan.planning.pose_goal import configurations_at
 from hplan.planning.problem import Problem, merge_problems
 from hplan.planning.result import PlanResult
-from hplan.planning.rrt_connect import Held, tree_path
+from hplan.planning.rrt_connect import tree_path
 from hplan.planning.solver import best_motion
 from hplan.planning.stages import Progress, no_progress, stage, stage_clock
 from hplan.robot.model import Robot
@@ -363,14 +363,16 @@ def _upright(tilt: _Tilt, tasks: Sequence[Problem], number: int, given_up: Seque
             yield _Leg(number, to, rows)
     first, least = tasks[0], 0.1 * min(to.margin for to in tasks)
     # Longest edge of upright trees for a tilt of one radian [s]; it scales with the square root of the tilt.
-    held = Held(tilt.restrict(first), 0.1 * math.sqrt(_OF_TILT * tilt.most))
+    edge_s, chain = 0.1 * math.sqrt(_OF_TILT * tilt.most), tilt.restrict(first)
     for seed, evaluations in enumerate(_TREES):
         left = [to for to in tasks if to not in given_up]
         if not left:
             return
         goals = np.array([to.goal for to in left])
         with stage("trees"):
-            path, _ = tree_path(first, least, evaluations, first.effort.seed + seed, goals=goals, held=held)
+            path, _ = tree_path(
+                first, least, evaluations, first.effort.seed + seed, goals=goals, upright=chain, edge_s=edge_s
+            )
         if path is not None:
             reached, to = True, left[int((goals == path[-1]).all(axis=1).argmax())]
             yield _Leg(number, to, _shorten_upright(tilt, to, path))

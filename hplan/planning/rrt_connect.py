@@ -81,18 +81,6 @@ class Pair(NamedTuple):
 Pairs: TypeAlias = dict[tuple[int, float, int, bytes], Pair]
 
 
-class Held(NamedTuple):
-    """A constraint that all nodes of the trees satisfy.
-
-    Attributes:
-        chain: Chain with `hplan.kinematics.damped_steps.UPRIGHT`.
-        edge_s: Maximum length of an edge on which the constraint holds well enough, in time at the velocity limits [s].
-    """
-
-    chain: Chain
-    edge_s: float
-
-
 class Surroundings(NamedTuple):
     """Arm and obstacles for the verification of edges.
 
@@ -110,8 +98,8 @@ class Surroundings(NamedTuple):
 
 
 def tree_path(
-    problem: Problem, margin: float, evaluations: int, seed: int,
-    *, goals: FloatArray | None = None, held: Held | None = None, pairs: Pairs | None = None,
+    problem: Problem, margin: float, evaluations: int, seed: int, *, goals: FloatArray | None = None,
+    upright: Chain | None = None, edge_s: float = EDGE_S, pairs: Pairs | None = None,
 ) -> tuple[FloatArray | None, int]:  # fmt: skip
     """A collision-free path of straight motions from start to goal.
 
@@ -122,7 +110,10 @@ def tree_path(
         evaluations: Maximum number of distance queries, each of all links at one configuration.
         seed: Seed of the samples.
         goals: (k, dof) alternative goals, whichever is reached first; None for the problem's first goal.
-        held: Constraint that all nodes satisfy, as start and goals do; None for none.
+        upright: Chain with `hplan.kinematics.damped_steps.UPRIGHT`, a constraint that all nodes satisfy, as start and
+            goals do; None for no constraint.
+        edge_s: Maximum length of an edge, on which the constraint holds well enough, in time at the velocity limits
+            [s].
         pairs: Pairs of trees from the same start that have grown with less effort. This pair grows on, and stays there
             if its trees do not meet. None to start from the roots.
 
@@ -133,8 +124,8 @@ def tree_path(
     key = seed, margin, id(problem.field), ends.tobytes()
     known = None if pairs is None else pairs.pop(key, None)
     slowness = 1.0 / problem.robot.velocity_limit
-    arm = Surroundings(slowness, problem.field.arrays, margin, EDGE_S if held is None else held.edge_s)
-    chain = () if held is None else held.chain
+    arm = Surroundings(slowness, problem.field.arrays, margin, edge_s)
+    chain = () if upright is None else upright
     if known is None:
         generator, nothing = np.random.Generator(np.random.PCG64(seed)), np.zeros((0, len(problem.start)))
         looks = np.zeros(2, dtype=np.int64)

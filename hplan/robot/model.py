@@ -223,8 +223,6 @@ class Robot(Record):
             poses[place] = data.oMf[number].homogeneous
         return poses
 
-    tool_poses = forward_kinematics  # its earlier name
-
     def frame_number(self, name: str) -> int:
         """Index in the model of a named frame.
 

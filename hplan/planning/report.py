@@ -21,6 +21,7 @@ from hplan.errors import HplanError
 if TYPE_CHECKING:
     from hplan.base.deadline import TimeLimit
     from hplan.certificate.certificate import Certificate
+    from hplan.certificate.pushes import Push
     from hplan.certificate.touch_risk import TouchRisk
     from hplan.planning.options import PlanOptions
     from hplan.robot.model import Robot
@@ -114,8 +115,16 @@ def pushes_report(certificate: Certificate, scene: Scene) -> dict[str, Any]:
     if not scene.gives_way:
         return {}
     found = certificate.pushes
-    links = {} if scene.yield_links is None else {"yield_links": list(scene.yield_links)}
-    return {**links, "pushes": None if found is None else [vars(push) for push in found]}
+    told: dict[str, Any] = {} if scene.yield_links is None else {"yield_links": list(scene.yield_links)}
+    if scene.wood is not None:
+        told |= {"wood": scene.wood.model_dump(mode="json"), "goal_displacement_m": certificate.goal_displacement_m}
+    return told | {"pushes": None if found is None else [push_report(push) for push in found]}
+
+
+def push_report(push: Push) -> dict[str, Any]:
+    """A contact as in the report; force and stress only for limbs and fruit on them."""
+    found = {key: value for key, value in vars(push).items() if key != "load"}
+    return {key: value for key, value in found.items() if value is not None}
 
 
 def assumptions_report(robot: Robot) -> dict[str, list[str]]:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from hplan.apps.cli.finished_job import FinishedJob
 from hplan.apps.cli.job_folder import REPORT
 from hplan.apps.cli.options import (
+    WOOD,
     add_shared,
     check_output_file,
     command_parser,
@@ -55,7 +56,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     parser = command_parser(__doc__, _CERTIFY_STATUS, prog=prog)
     add = parser.add_argument
     add("trajectory", type=Path, help="trajectory CSV, or output folder of a plan")
-    add_shared(parser, "scene", "robot", "parts", "contacts", "tracking", "sigmas", "risk")
+    add_shared(parser, "scene", "robot", "parts", "contacts", "wood", "tracking", "sigmas", "risk")
     add("--goal-contact", choices=("approach", "motion"), help="when the last link may touch the goal "
         "fruit: on the straight approach or during the whole motion (default: approach)")  # fmt: skip
     add("--interpolation", choices=("cubic", "quintic", "linear"), help="curve of the controller between samples: "
@@ -150,6 +151,7 @@ def _fill_in(arguments: argparse.Namespace, job: FinishedJob | None) -> None:
         "risk": settings.get("risk", {}).get("asked"),
         "goal_contact": "motion" if settings.get("goal_contact") == "motion" else "approach",
         "yield_links": settings.get("yield_links"),
+        **{name: settings.get("wood", {}).get(name) for name in WOOD},
     }
     for name, value in defaults.items():
         if getattr(arguments, name) is None:
@@ -193,6 +195,8 @@ def _show_certificate(console: Console, report: dict[str, Any], error: str) -> N
     for push in proof.get("pushes") or ():
         span = f"{push['begin_s']:.3f} to {push['end_s']:.3f} s"
         what = f"{escape(push['link'])} {escape(push['obstacle'])!r}, {1e3 * push['depth_m']:.1f} mm at most"
+        if push.get("force_n") is not None:
+            what += f", {push['force_n']:.1f} N, {push['stress_mpa']:.1f} MPa"
         table.add_row("pushed", f"by {what}: {span}")
     for what in report["differs"]:
         table.add_row("differs", f"[bold red]the {what} is not that of {REPORT}[/]")

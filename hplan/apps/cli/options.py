@@ -111,6 +111,13 @@ _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
         "certificate does not cover them", {"action": "store_true"}),
     ("contacts", "--yield-links", "links that may push compliant obstacles (default: the scene's, else the links of "
         "the last two joints)", {"nargs": "+", "metavar": "LINK"}),
+    ("wood", "--contact-force", "maximum force of a link on a limb in newtons; with any of these three options limbs "
+        "bend, and how deep they may be pushed follows from force and stress (default: the scene's, else 10)",
+        {"type": float, "metavar": "N"}),
+    ("wood", "--wood-stress", "maximum bending stress of limbs in MPa (default: the scene's, else 30)",
+        {"dest": "wood_stress_mpa", "type": float, "metavar": "MPA"}),
+    ("wood", "--fruit-force", "maximum force on the stalk of a fruit that is pushed aside in newtons (default: the "
+        "scene's, else 8)", {"type": float, "metavar": "N"}),
     ("pace", "--rate", "samples per second in the CSV (default: 250)",
         {"dest": "rate_hz", "type": float, "default": 250.0, "metavar": "HZ"}),
     ("pace", "--speed", "fraction of full speed, in (0, 1] (default: 1)",
@@ -195,7 +202,7 @@ def names_robots(scene: str) -> bool:
 def scene_among(
     arguments: argparse.Namespace, robot: Robot, scene: Scene, errors: Console
 ) -> tuple[Scene, dict[str, list[str]]]:
-    """Apply `--yield-links` and `--drop-inside` to a scene.
+    """Apply `--yield-links`, `--drop-inside` and the limits of limbs to a scene.
 
     Returns:
         The scene, and for the report `left_out`: the names of the obstacles and fruits that were removed because they
@@ -203,6 +210,7 @@ def scene_among(
     """
     if arguments.yield_links is not None:
         scene = scene.with_values(yield_links=tuple(arguments.yield_links))
+    scene = scene_with_wood(arguments, scene)
     if not arguments.drop_inside:
         return scene, {}
     from hplan.planning.world import without_inside
@@ -214,6 +222,25 @@ def scene_among(
     told = f"removed, inside the pedestal or turret: {', '.join(names)}{goal}"
     errors.print(told, markup=False, soft_wrap=True)
     return smaller, {"left_out": list(names)}
+
+
+#: Destinations of the options of limbs.
+WOOD = ("contact_force", "wood_stress_mpa", "fruit_force")
+
+
+def scene_with_wood(arguments: argparse.Namespace, scene: Scene) -> Scene:
+    """A scene with the limits of `--contact-force`, `--wood-stress` and `--fruit-force`, if one of them is given.
+
+    Raises:
+        SceneError: A limit is not positive, or the scene has no limbs.
+    """
+    given = {key: getattr(arguments, key) for key in WOOD if getattr(arguments, key) is not None}
+    if not given:
+        return scene
+    from hplan.scene.model import with_limbs
+    from hplan.scene.wood import Wood
+
+    return with_limbs(scene, (scene.wood or Wood()).with_values(**given))
 
 
 def held_joints(arguments: argparse.Namespace) -> dict[str, float]:

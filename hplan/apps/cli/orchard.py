@@ -11,7 +11,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hplan.apps.cli.options import add_shared, check_output_file, command_parser, refuse, robot_of, source_of
+from hplan.apps.cli.options import (
+    add_shared,
+    check_output_file,
+    command_parser,
+    refuse,
+    robot_of,
+    scene_with_wood,
+    source_of,
+)
 from hplan.apps.cli.terminal import escape, facts_table, progress_line
 from hplan.errors import OptionError
 
@@ -119,6 +127,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add("--yield-fruit", dest="fruit_yields", type=float, metavar="M", help=f"{yields} a fruit, in metres (default: 0)")
     hangs = "distance within which a fruit hangs from the wood, which may deflect during the picking (default: unknown)"
     add("--hangs-within", type=float, metavar="M", help=hangs)
+    add_shared(parser, "wood")
     add("--goal", metavar="NAME", help="fruit that is the goal (default: the first)")
     add(
         "--start",
@@ -150,6 +159,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     out: Path = arguments.out
     with progress_line(errors, quiet=arguments.quiet) as progress:
         scene, pickable = make_scene(arguments, console, progress)
+        scene = scene_with_wood(arguments, scene)
     check_output_file(out, force=arguments.force)
     save_scene(scene, out)
     if not arguments.quiet:

@@ -103,7 +103,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     """Parser of the command's arguments."""
     parser = command_parser(__doc__, _EXIT_STATUS, prog=prog)
     add = parser.add_argument
-    add_shared(parser, "scene", "out", "force", "robot", "parts", "contacts")
+    add_shared(parser, "scene", "out", "force", "robot", "parts", "contacts", "wood")
     add_shared(parser, "search", "effort", "seed", "grid", "pace", "tracking", "sigmas", "risk", "capture", "standoff")
     add("--uncertified", dest="certify", action="store_false", help="write the motion even if it is not certified; "
         "the report says whether it is")  # fmt: skip

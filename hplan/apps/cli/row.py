@@ -12,7 +12,7 @@ from html import escape as html_escape
 from typing import TYPE_CHECKING
 
 from hplan.apps.cli.job_folder import PAGE, ROW_REPORT, JobFolder, write_figure, write_result
-from hplan.apps.cli.options import add_shared, command_parser, plan_options, robot_of
+from hplan.apps.cli.options import add_shared, command_parser, plan_options, robot_of, scene_with_wood
 from hplan.apps.cli.terminal import (
     describe_certificate,
     escape,
@@ -54,7 +54,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     parser = command_parser(__doc__, _EPILOG, prog=prog)
     add = parser.add_argument
     add("scene", help="scene file or name of a shipped scene")
-    add_shared(parser, "out", "force", "robot", "parts")
+    add_shared(parser, "out", "force", "robot", "parts", "wood")
     add(
         "--distance",
         type=float,
@@ -118,7 +118,7 @@ def _plan_row_and_write(
     from hplan.scene.file import load_scene
     from hplan.tour.row import RowOptions, plan_row
 
-    scene = load_scene(arguments.scene)
+    scene = scene_with_wood(arguments, load_scene(arguments.scene))
     row = RowOptions(
         distance=_trunk_distance(scene) if arguments.distance is None else arguments.distance,
         both=not arguments.one_side,

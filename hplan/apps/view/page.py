@@ -216,6 +216,10 @@ def certificate_words(certificate: Certificate | None) -> tuple[str, str, list[s
         count = "1 obstacle" if len(pushed) == 1 else f"{len(pushed)} obstacles"
         depth = f"{1e3 * deepest.depth_m:.2f} mm"
         sentences.append(f"It pushes {count}, at most {depth} deep ({deepest.obstacle} by {deepest.link})")
+        loads = [push for push in pushes if push.force_n is not None and push.stress_mpa is not None]
+        if loads:
+            force, stress = (max(getattr(push, key) for push in loads) for key in ("force_n", "stress_mpa"))
+            sentences.append(f"Limbs and fruit are pushed with at most {force:.1f} N and bent by {stress:.1f} MPa")
     if certificate.uncovered_links:
         names = ", ".join(certificate.uncovered_links)
         sentences.append(f"Not covered, because drawn without a matching collision shape: {names}")

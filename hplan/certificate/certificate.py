@@ -55,7 +55,7 @@ from hplan.certificate.clearance_curve import (
 from hplan.certificate.clearance_proof import Proof, prove_clearance
 from hplan.certificate.digests import Digests
 from hplan.certificate.goal_contact import FruitContact, contact_window
-from hplan.certificate.limb_loads import gentle_speeds, goal_displacement, load_violations
+from hplan.certificate.limb_loads import goal_displacement, load_violations
 from hplan.certificate.limit_use import LimitUse, limit_use
 from hplan.certificate.motion_bound import fastest, largest_deviations
 from hplan.certificate.moving_obstacles import checker_in_time, clear_until, end_violations, moving_base_contacts
@@ -141,8 +141,6 @@ class Certificate:
         uncovered_links: Names of the visual links that no collision shape covers: nothing is proved about them.
         goal_displacement_m: Upper bound of the displacement of a grasped fruit by the limbs that are pushed at that
             time [m]; None in scenes without `wood`, and without a fruit to grasp.
-        gentle_speeds: (n, 2) times [s] and fractions of the motion's speed with which impacts on limbs keep the limits
-            of force and stress; None if they keep them, or if no speed helps.
     """
 
     verified: bool
@@ -161,7 +159,6 @@ class Certificate:
     pair_rules: tuple[PairRule, ...] = ()
     uncovered_links: tuple[str, ...] = ()
     goal_displacement_m: float | None = None
-    gentle_speeds: FloatArray | None = field(default=None, compare=False, repr=False)
 
     @property
     def contact_s(self) -> tuple[float, float] | None:
@@ -186,6 +183,12 @@ class Certificate:
         Empty if nothing is touched. None for a certificate made by hand or derived from the certificate of its path.
         """
         return None if self.subject is None else self.subject.pushes
+
+    @property
+    def pushes_by_segment(self) -> tuple[Push, ...]:
+        """Contacts with compliant obstacles within single segments; empty if they are unknown."""
+        motions = () if self.subject is None else self.subject.motions
+        return tuple(push for motion, backwards in motions if not backwards for push in motion.pushes_by_segment)
 
     @property
     def reversal(self) -> Certificate:
@@ -476,11 +479,10 @@ def certify_among(
     missing = [proof.clearance_m for proof in proofs if not proof.is_certified]
     least = min(missing or (proof.clearance_m for proof in proofs))
     motion = ProvedMotion(robot, trajectory, tuple(proved), clearance)
-    displacement, speeds_there = None, None
+    displacement = None
     if not violations and any(checker.has_limbs for _, checker in among):
         pushes = motion.pushes_by_segment
         violations += load_violations(robot, pushes)
-        speeds_there = gentle_speeds(pushes, trajectory.duration)
         displacement = _goal_displacement(motion, pushes)
         allowed = min((limit.capture_range for limit in last.fruit_limits), default=math.inf)
         if displacement is not None and displacement > allowed:
@@ -504,7 +506,6 @@ def certify_among(
         else clear_until(bezier[-1, -1], last, at_rest, clearance, clock[-1]),
         uncovered_links=robot.uncovered_links,
         goal_displacement_m=displacement,
-        gentle_speeds=speeds_there,
     )
 
 

@@ -11,8 +11,10 @@ Each contact alone keeps them by its depth (`hplan.scene.wood`) and speed. Sever
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
 from typing import Final
 
 import numpy as np
@@ -62,6 +64,30 @@ def load_violations(robot: Robot, pushes: Sequence[Push]) -> Iterator[str]:
         yield f"{robot.link_in_words(link)} {words}"
 
 
+def shared_limb_violations(pushes: Mapping[str, Sequence[Push]]) -> Iterator[str]:
+    """Messages about limbs that two arms of a workcell push at the same time.
+
+    Args:
+        pushes: Contacts of each arm within single segments of its motion, by the name of the arm; limbs have the same
+            numbers for all arms.
+    """
+    for (one, first), (other, second) in combinations(pushes.items(), 2):
+        for push in first:
+            meeting = (each for each in second if _share_limb(push, each))
+            found = next(meeting, None)
+            if found is not None:
+                limbs = f"{push.obstacle!r} and {found.obstacle!r}"
+                yield f"{one!r} and {other!r} push {limbs}, which share a limb, at {push.begin_s:.6g} s"
+                break
+
+
+def _share_limb(one: Push, other: Push) -> bool:
+    """True if two contacts are on limbs with one root, at the same time."""
+    if one.load is None or other.load is None or one.load.limit.root != other.load.limit.root:
+        return False
+    return one.load.limit.root >= 0 and one.begin_s <= other.end_s and other.begin_s <= one.end_s
+
+
 def goal_displacement(pushes: Sequence[Push], fruit: ContactLimit, time_s: float) -> float:
     """Upper bound of the displacement of a fruit's limb by the contacts at a time [m].
 
@@ -81,12 +107,13 @@ def goal_displacement(pushes: Sequence[Push], fruit: ContactLimit, time_s: float
     return sum(largest.values())
 
 
-def gentle_speeds(pushes: Sequence[Push], duration_s: float) -> FloatArray | None:
+def gentle_speeds(pushes: Sequence[Push], duration_s: float, ease_s: float) -> FloatArray | None:
     """Fractions of a motion's speed over time with which impacts keep the limits of force and stress.
 
     Args:
         pushes: Contacts within single segments of the motion.
         duration_s: Its duration [s].
+        ease_s: Time before and after a contact with the reduced speed, for braking [s].
 
     Returns:
         (n, 2) times [s] and fractions, as for `Trajectory.scale_speed`; None if the motion need not be slower, or if no
@@ -101,7 +128,8 @@ def gentle_speeds(pushes: Sequence[Push], duration_s: float) -> FloatArray | Non
         by_root[push.begin_s, load.limit.root].append((push, load))
         room = load.limit.most_force - load.share * load.limit.force
         if load.impact > room:
-            slower.append((push.begin_s, push.end_s, max(0.0, room) / load.impact))
+            fraction = max(0.0, room) / load.impact
+            slower.append((push.begin_s, push.end_s, math.sqrt(fraction) if load.limit.swing > 0.0 else fraction))
     for (_, root), loads in by_root.items():
         impact = max(load.impact_stress for _, load in loads)
         room = loads[0][1].limit.most_stress - (_stress(loads) - impact)
@@ -113,19 +141,18 @@ def gentle_speeds(pushes: Sequence[Push], duration_s: float) -> FloatArray | Non
     times = np.linspace(0.0, duration_s, max(2, round(duration_s / _SPEED_STEP_S) + 1))
     fractions = np.ones(len(times))
     for begin_s, end_s, fraction in slower:
-        near = (times >= begin_s - _EASE_S) & (times <= end_s + _EASE_S)
+        near = (times >= begin_s - ease_s) & (times <= end_s + ease_s)
         fractions[near] = np.minimum(fractions[near], _SPARE * fraction)
     return np.column_stack([times, fractions])
 
 
 #: Minimum fraction of its speed to which a motion is slowed down for impacts.
-_SLOWEST: Final = 0.15
+_SLOWEST: Final = 0.1
 
 #: Part of the speed that impacts allow which is used: the bound of a slower motion's speed is not as sharp.
 _SPARE: Final = 0.93
 
-#: Time before and after a contact with the reduced speed, and step of the speeds [s].
-_EASE_S: Final = 0.06
+#: Step of the speeds [s].
 _SPEED_STEP_S: Final = 0.02
 
 

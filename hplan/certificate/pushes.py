@@ -53,7 +53,8 @@ class Load(NamedTuple):
         limit: What the deepest permitted contact does.
         joint: Joint that carries the link.
         share: Upper bound of the depth as a fraction of the permitted one.
-        speed: Upper bound of the speed of the link [m/s].
+        speed: Upper bound of the speed of the link [m/s], or of that to which a contact of this depth accelerates the
+            limb or fruit, if that is less.
     """
 
     limit: ContactLimit
@@ -133,7 +134,7 @@ def pushes_along(
                 found = Push(mover_name, checker.obstacle_names[other], depth, *span)
                 limit = checker.contact_limits[other]
                 if limit is not None and limit.depth > 0.0:
-                    speed = (travelled + nearer) / max(span[1] - span[0], _TINY_S)
+                    speed = min((travelled + nearer) / max(span[1] - span[0], _TINY_S), limit.rate * depth)
                     load = Load(limit, checker.joint_of(pair), depth / float(allowed[pair]), speed)
                     stress = 1e-6 * (load.stress + load.impact_stress)
                     found = replace(found, force_n=load.force, stress_mpa=stress, load=load)

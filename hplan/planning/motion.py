@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -13,6 +14,7 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.certificate.certificate import Certificate, Stretch, all_of, certify_among, stretches
+from hplan.certificate.limb_loads import gentle_speeds
 from hplan.errors import CertificationError, TimingError
 from hplan.kinematics.damped_steps import Chain
 from hplan.optimization.minimize_time import OptimizerEffort, minimize_time
@@ -351,20 +353,22 @@ def certify_gently(
         among: Returns the segments and obstacles to certify a trajectory against; None for the obstacles of the
             problem.
     """
-    certificate = certificate_of(problem, trajectory, None if among is None else among(trajectory))
-    for _ in range(_GENTLE_TRIALS):
-        if certificate.gentle_speeds is None:
+    quick, certificate = trajectory, certificate_of(problem, trajectory, None if among is None else among(trajectory))
+    for ease_s in _EASE_S:
+        if certificate.verified:
             break
-        try:
-            trajectory = trajectory.scale_speed(certificate.gentle_speeds, problem.robot)
-        except TimingError:
+        speeds = gentle_speeds(certificate.pushes_by_segment, trajectory.duration, ease_s)
+        if speeds is None:
             break
-        certificate = certificate_of(problem, trajectory, None if among is None else among(trajectory))
-    return trajectory, certificate
+        with suppress(TimingError):
+            slower = trajectory.scale_speed(speeds, problem.robot)
+            found = certificate_of(problem, slower, None if among is None else among(slower))
+            trajectory, certificate = slower, found
+    return (trajectory if certificate.verified else quick), certificate
 
 
-#: Maximum number of times that a motion is slowed down where it meets limbs.
-_GENTLE_TRIALS = 3
+#: Times before and after a contact in which a motion is slowed down, tried in turn [s].
+_EASE_S = (0.15, 0.4, math.inf, math.inf)
 
 
 def certificate_of(

@@ -17,6 +17,7 @@ from hplan.scene.model import FORMAT, Fruit, Goal, Scene, Start
 from hplan.scene.obstacle_kind import Name
 from hplan.scene.obstacles import Obstacle
 from hplan.scene.robot_source import RobotSource
+from hplan.scene.wood import Wood
 
 #: Maximum number of robots of a workcell.
 MOST_ROBOTS = 16
@@ -81,6 +82,7 @@ class CellScene(StrictModel):
         clearance: Minimum distance of each robot from every obstacle [m].
         obstacles: Obstacles.
         fruits: Fruit; obstacles too, except for the robot whose goal it is.
+        wood: Limits of force and stress for limbs, as in a scene; two robots do not push one limb at the same time.
         may_touch: Pairs of links of different robots that touch by design, for example bases on one plate. They are not
             checked, and every certificate and report lists them.
     """
@@ -91,6 +93,7 @@ class CellScene(StrictModel):
     clearance: Annotated[float, Field(ge=0.0, le=FARTHEST_M)] = 0.0
     obstacles: Annotated[tuple[Obstacle, ...], Field(max_length=MOST_OBSTACLES)] = ()
     fruits: Annotated[tuple[Fruit, ...], Field(max_length=MOST_OBSTACLES)] = ()
+    wood: Annotated[Wood | None, Field(exclude=True)] = None
 
     may_touch: tuple[tuple[ArmLink, ArmLink], ...] = ()
 
@@ -114,5 +117,5 @@ class CellScene(StrictModel):
 
     def task(self, goal: Goal, start: Start, **more: Any) -> Scene:
         """Return the scene of a robot based at the workcell frame."""
-        shared = {key: getattr(self, key) for key in ("name", "clearance", "obstacles", "fruits")}
+        shared = {key: getattr(self, key) for key in ("name", "clearance", "obstacles", "fruits", "wood")}
         return Scene(**{**shared, "start": start, "goal": goal, **more})

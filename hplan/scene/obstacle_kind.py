@@ -147,6 +147,8 @@ class ContactLimit(NamedTuple):
         impact: Force of an impact per speed of the link [N s/m].
         impact_stress: Bending stress of an impact per speed of the link [Pa s/m].
         swing: Force on a stalk per squared speed of the link [N s^2/m^2].
+        rate: Angular frequency of limb or fruit on the spring of the contact [rad/s]: a contact of the depth d does not
+            accelerate it beyond the speed rate d.
         most_force: Allowed force [N].
         most_stress: Allowed bending stress [Pa].
         displacement: For a fruit the largest displacement of its limb where it hangs by a force on another part of a
@@ -163,6 +165,7 @@ class ContactLimit(NamedTuple):
     impact: float
     impact_stress: float
     swing: float
+    rate: float
     most_force: float
     most_stress: float
     displacement: Callable[[ContactLimit], float] | None

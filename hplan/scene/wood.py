@@ -11,7 +11,9 @@ the limb by a displacement of at most :math:`\delta - \epsilon |n \cdot a|` alon
 
 .. math:: \delta \le \lambda_{min}(F C + \epsilon\, a a^\top).
 
-So a twig, which is stiff along its axis, is not met head-on. Within a part, the tangent of :math:`C` bounds :math:`C`
+So a twig, which is stiff along its axis, is not met head-on. For :math:`\epsilon \le \delta` what is clear of the limb
+is clear of the smaller part, too: limits never forbid a motion that touches nothing. Within a part, the tangent of
+:math:`C` bounds :math:`C`
 from below, and this eigenvalue is concave in it: two ends decide.
 
 **Stress.** A force f at x bends the limb at p by at most :math:`f |x - p|`, and the stress in a round section of radius
@@ -72,6 +74,9 @@ GRAVITY: Final = 9.81
 
 #: Prevents divisions by zero where a limb is clamped.
 _TINY: Final = 1e-12
+
+#: Number of extensions that are tried, from none to the depth across the axis.
+_SHARES: Final = 17
 
 #: Number of limb parts whose neighbours are found together.
 _TOGETHER: Final = 256
@@ -159,6 +164,7 @@ class Pushables(NamedTuple):
         stress: (k,) largest stress of the limb per force [Pa/N].
         depth: (k,) maximum deflection within which these hold [m].
         swing: (k,) force on a stalk per squared speed of the link [N s^2/m^2]; 0 for limbs.
+        mass: (k,) mass of fruit [kg]; 0 for limbs.
     """
 
     names: tuple[str, ...]
@@ -173,6 +179,7 @@ class Pushables(NamedTuple):
     stress: FloatArray
     depth: FloatArray
     swing: FloatArray
+    mass: FloatArray
 
     def at(self, kept: BoolArray | IntArray) -> Pushables:
         """Those of a mask or of some numbers."""
@@ -242,11 +249,11 @@ def _contact_solids(obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood
             depth, segment = float(table.depth[row]), int(pushables.segment[row])
             low, high = pushables.along[row].tolist()
             swing = float(pushables.swing[row])
+            point = HangingPoint(limbs, segment, low, wood.stiffest) if swing > 0.0 else None
             limit = ContactLimit(
                 depth, float(table.force[row]), float(table.stress[row]), segment, roots[segment], (low, high),
-                *(impact_of(limbs, segment, wood) if swing == 0.0 else (0.0, 0.0)), swing, most_force,
-                wood.wood_stress, HangingPoint(limbs, segment, low, wood.stiffest) if swing > 0.0 else None,
-                wood.capture_range,
+                *_impact(limbs, segment, swing, float(pushables.mass[row]), wood),
+                most_force, wood.wood_stress, point, wood.capture_range,
             )  # fmt: skip
             solid = _TEMPLATE.copy_unchecked({
                 "name": name, "start": tuple(starts[row]), "end": tuple(ends[row]),
@@ -291,17 +298,20 @@ class HangingPoint(Record):
         )
 
 
-def impact_of(limbs: Limbs, segment: int, wood: Wood) -> tuple[float, float]:
-    """Force [N s/m] and bending stress [Pa s/m] of an impact on a limb, per speed of the link.
+def _impact(limbs: Limbs, segment: int, swing: float, mass: float, wood: Wood) -> tuple[float, float, float, float]:
+    """Impact, impact stress, swing and rate of `ContactLimit`.
 
     The force is that of the contact's spring on a beam (see the module). A beam that is set in motion with the speed v
     is bent by a wave with the stress 2 v sqrt(E rho), which is reflected at its clamp and its forks.
     """
+    if swing > 0.0:
+        return 0.0, 0.0, swing, math.sqrt(wood.contact_stiffness / mass)
     radius = float(limbs.radius[segment])
     rigidity = wood.stiffest * 0.25 * math.pi * radius**4
     per_length = wood.density * math.pi * radius**2
-    force = wood.contact_stiffness ** (1.0 / 3.0) * 2.0 * rigidity ** (1.0 / 6.0) * math.sqrt(per_length)
-    return IMPACT_FACTOR * force, 2.0 * IMPACT_FACTOR * math.sqrt(wood.stiffest * wood.density)
+    impedance = wood.contact_stiffness ** (1.0 / 3.0) * 2.0 * rigidity ** (1.0 / 6.0) * math.sqrt(per_length)
+    stress = 2.0 * IMPACT_FACTOR * math.sqrt(wood.stiffest * wood.density)
+    return IMPACT_FACTOR * impedance, stress, 0.0, wood.contact_stiffness / impedance
 
 
 def divide_limbs(limbs: Limbs, wood: Wood) -> Pushables:
@@ -344,7 +354,7 @@ def _parts(limbs: Limbs, numbers: IntArray, low: FloatArray, high: FloatArray, w
     share, depth = share / (1.0 + LARGE_ROTATION_FORCE * turned**2), MOST_ROTATION * per_rotation
     return Pushables(
         tuple(limbs.names[number] for number in numbers.tolist()), numbers, np.stack([low, high], axis=1), start, end,
-        limbs.radius[numbers], axis, ends, share, stress, depth, np.zeros(len(numbers)),
+        limbs.radius[numbers], axis, ends, share, stress, depth, *np.zeros((2, len(numbers))),
     )  # fmt: skip
 
 
@@ -373,7 +383,7 @@ def hanging_fruits(fruits: Sequence[Fruit], limbs: Limbs, wood: Wood) -> Pushabl
         force = STATIC_SHARE * min(wood.fruit_force, wood.wood_stress / max(stress, 1e-9))
         rows.append((fruit.name, segment, (along, along), fruit.center, fruit.center, fruit.radius, stalk,
                      (limb + swing, limb + swing), force, stress, MOST_SWING * arm,
-                     4.0 * weight / GRAVITY / arm))  # fmt: skip
+                     4.0 * weight / GRAVITY / arm, weight / GRAVITY))  # fmt: skip
     if not rows:
         return _parts(limbs, np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0), wood)
     columns = list(zip(*rows, strict=True))
@@ -410,15 +420,8 @@ def permitted_contacts(
         stiff: Solids of all other obstacles.
         wood: Limits and properties.
     """
-    count, alone = len(pushables.names), _lateral_depth(pushables)
-    scaled, axis = pushables.force[:, None, None] * pushables.compliance, pushables.stiff_axis
-    # A limb that gives way along its own axis, too, needs less of an extension, unless both directions are coupled.
-    along = np.einsum("ki,ekij,kj->ek", axis, scaled, axis).min(axis=0, initial=np.inf)
-    less = np.maximum(0.0, alone - along)
-    whole, lengths = _smallest(scaled, axis, alone), alone.copy()
-    of_less = _smallest(scaled, axis, less)
-    lengths[of_less >= _EVEN * whole] = less[of_less >= _EVEN * whole]
-    whole = np.where(of_less >= _EVEN * whole, of_less, whole)
+    count = len(pushables.names)
+    whole, lengths = _depth_and_extension(pushables)
     per_depth = pushables.force / np.maximum(whole, 1e-12)  # of the limb alone [N/m]
     most = np.clip(whole, 0.0, pushables.depth)
     found = _neighbours(pushables, most, limbs, hanging, stiff, wood)
@@ -433,6 +436,23 @@ def permitted_contacts(
                                                        out=np.zeros(len(pushed_on))), count)  # fmt: skip
     extension = np.divide(lengths * depth, whole, out=np.zeros(count), where=whole > 0.0)
     return PermittedContacts(depth, extension, force + squeezed, force * pushables.stress)
+
+
+def _depth_and_extension(pushables: Pushables) -> tuple[FloatArray, FloatArray]:
+    """Depth by the maximum force, and the extension of the axis that it takes, (k,) each [m].
+
+    The extension is at most the depth: then a body that is clear of the limb is clear of the extended, smaller part,
+    so that limits never forbid a motion that touches nothing.
+    """
+    scaled, axis = pushables.force[:, None, None] * pushables.compliance, pushables.stiff_axis
+    alone = _lateral_depth(pushables)
+    depth, extension = np.zeros(len(alone)), np.zeros(len(alone))
+    for share in np.linspace(0.0, 1.0, _SHARES):
+        tried = share * alone
+        found = np.clip(_smallest(scaled, axis, tried), 0.0, alone)
+        better = (found > depth * (1.0 + 1e-9)) & (tried <= found * (1.0 + 1e-9))
+        depth, extension = np.where(better, found, depth), np.where(better, tried, extension)
+    return depth, extension
 
 
 class Neighbours(NamedTuple):

@@ -33,6 +33,7 @@ from hplan.certificate.certificate import (
 )
 from hplan.certificate.digests import Digests
 from hplan.certificate.goal_contact import FruitContact
+from hplan.certificate.limb_loads import shared_limb_violations
 from hplan.certificate.limit_use import LimitUse, limit_use
 from hplan.certificate.motion_bound import fastest
 from hplan.certificate.moving_obstacles import checker_in_time
@@ -509,7 +510,11 @@ def certify_cell(
             goal_contact=contact, contacts=windows, check_ends=check_ends, **_certify_arguments(options),
         )  # fmt: skip
         arms[arm.name] = with_violations(own, _meetings_at_rest(own, files[arm.name].duration, end_s))
-    return CellCertificate(certify_between(cell, files, options), arms, cell.scene.may_touch)
+    between = certify_between(cell, files, options)
+    if cell.scene.wood is not None:
+        pushes = {name: own.pushes_by_segment for name, own in arms.items()}
+        between = with_violations(between, shared_limb_violations(pushes))
+    return CellCertificate(between, arms, cell.scene.may_touch)
 
 
 def certify_between(cell: Cell, files: Mapping[str, Trajectory], options: PlanOptions) -> Certificate:

@@ -1,0 +1,202 @@
+"""Loads on limbs: bounds beside the forces that coal's contacts and beam theory give, and combined contacts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import hplan
+from hplan.certificate.limb_loads import (
+    gentle_speeds,
+    goal_displacement,
+    load_violations,
+    shared_limb_violations,
+)
+from hplan.certificate.pushes import Load, Push
+from hplan.collision.coal_arm import arm_parts
+from hplan.collision.compliant_solids import pushing_links
+from hplan.planning.result import PlanResult
+from hplan.robot.model import Robot
+from hplan.scene import Capsule, Scene, Wood, with_limbs
+from hplan.scene.limbs import Limbs
+from hplan.scene.obstacle_kind import ContactLimit
+from hplan.scene.orchard import MeasuredOptions, measured_orchard
+from hplan.scene.wood import limbs_of
+
+TREE = Path(__file__).parents[2] / "scripts" / "examples" / "trees" / "apple_1_tallspindle.csv"
+
+#: A fruit whose quickest motion pushes limbs and other fruit.
+LIMIT = ContactLimit(0.02, 6.0, 1e7, 3, 2, (0.1, 0.2), 4.0, 6e6, 0.0, 500.0, 10.0, 3e7, None, 0.02)
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return hplan.load_robot("orchard_harvester")
+
+
+@pytest.fixture(scope="module")
+def orchard() -> Scene:
+    return with_limbs(measured_orchard([TREE], MeasuredOptions(robot="orchard_harvester", distance=1.2)))
+
+
+@pytest.fixture(scope="module")
+def plans(robot: Robot, orchard: Scene) -> list[PlanResult]:
+    found = []
+    for fruit in orchard.fruits:
+        try:
+            found.append(hplan.plan(robot, orchard.with_values(goal=hplan.scene.Goal(fruit=fruit.name))))
+        except hplan.errors.HplanError:
+            continue
+        if len(found) == 6:
+            break
+    return found
+
+
+def seen_forces(robot: Robot, scene: Scene, result: PlanResult, count: int = 400) -> dict[tuple[str, str], float]:
+    """Largest force of each link on each limb, from coal's depth and normal and the compliance there [N]."""
+    assert scene.wood is not None
+    limbs, model = limbs_of(scene.obstacles, scene.wood), robot.model
+    data, names = model.createData(), pushing_links(robot, scene.yield_links)
+    shapes = [(name, shape) for name, own in arm_parts(robot, 0.0, 0.0).links.items() for shape in own if name in names]
+    found: dict[tuple[str, str], float] = {}
+    for q in result.trajectory.positions(np.linspace(0.0, result.trajectory.duration, count)):
+        pin.forwardKinematics(model, data, q)
+        for (name, shape), number in product(shapes, np.flatnonzero(~limbs.clamped).tolist()):
+            place = data.oMi[shape.parentJoint] * shape.placement
+            force = contact_force(limbs, number, shape.geometry, place, scene.wood.stiffest)
+            if force > 0.0:
+                key = name, limbs.names[number]
+                found[key] = max(found.get(key, 0.0), force)
+    return found
+
+
+def contact_force(
+    limbs: Limbs, number: int, geometry: coal.CollisionGeometry, place: pin.SE3, youngs_modulus: float
+) -> float:
+    """Force that takes a limb out of a shape along coal's normal [N]; 0 without a contact."""
+    axis, length = limbs.axis[number], float(limbs.length[number])
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).toRotationMatrix()
+    there = coal.Transform3s(turn, 0.5 * (limbs.start + limbs.end)[number])
+    result = coal.DistanceResult()
+    solid = coal.Capsule(float(limbs.radius[number]), length)
+    depth = -coal.distance(
+        geometry, coal.Transform3s(place.rotation, place.translation), solid, there, coal.DistanceRequest(), result
+    )
+    if depth <= 0.0:
+        return 0.0
+    normal, point = np.array(result.normal), np.array(result.getNearestPoint2())
+    along = float(np.clip((point - limbs.start[number]) @ axis, 0.0, length))
+    compliance = limbs.compliance(number, along / length, youngs_modulus)[:3, :3]
+    return depth / float(normal @ compliance @ normal)
+
+
+def test_forces_are_below_their_bounds(robot: Robot, orchard: Scene, plans: list[PlanResult]) -> None:
+    assert len(plans) == 6
+    assert orchard.wood is not None
+    seen = 0
+    for result in plans:
+        scene = result.scene
+        bounds: dict[tuple[str, str], float] = {}
+        for push in result.certificate.pushes or ():
+            if push.force_n is not None:
+                key = push.link, push.obstacle
+                bounds[key] = max(bounds.get(key, 0.0), push.force_n)
+        assert result.certificate.verified
+        assert max(bounds.values(), default=0.0) <= orchard.wood.contact_force
+        forces = seen_forces(robot, scene, result)
+        for key, force in forces.items():
+            assert force <= bounds[key]
+        seen += len(forces)
+    assert seen > 5
+
+
+def test_certificate_of_the_file_is_that_of_the_plan(robot: Robot, plans: list[PlanResult]) -> None:
+    result = plans[0]
+    again = hplan.certify(robot, result.scene, result.trajectory)
+    assert again.verified
+    assert result.report["certificate"]["wood"]["contact_force"] == 10.0
+
+
+def test_smaller_limits_refuse_the_motion(robot: Robot, plans: list[PlanResult]) -> None:
+    result = max(
+        plans, key=lambda plan: max((push.force_n or 0.0 for push in plan.certificate.pushes or ()), default=0)
+    )
+    assert result.scene.wood is not None
+    found = hplan.certify(
+        robot, result.scene.with_values(wood=result.scene.wood.with_values(contact_force=0.2)), result.trajectory
+    )
+    assert not found.verified
+
+
+def push_of(share: float, speed: float, link: str = "tool0", joint: int = 4, **changes: float) -> Push:
+    load = Load(LIMIT._replace(**changes), joint, share, speed)
+    return Push(link, "branch 1", 0.02 * share, 1.0, 1.1, load.force, 1e-6 * load.stress, load)
+
+
+def test_an_impact_counts(robot: Robot) -> None:
+    assert not list(load_violations(robot, [push_of(1.0, 0.9)]))  # 6 + 3.6 N
+    (found,) = load_violations(robot, [push_of(1.0, 1.2)])
+    assert "exerts up to 10.8 N on 'branch 1', 4.8 N of it by its speed" in found
+
+
+def test_slower_motions_keep_the_limits() -> None:
+    assert gentle_speeds([push_of(1.0, 0.9)], 2.0, 0.1) is None
+    speeds = gentle_speeds([push_of(1.0, 2.0)], 2.0, 0.1)
+    assert speeds is not None
+    factor = speeds[np.abs(speeds[:, 0] - 1.05).argmin(), 1]
+    assert factor == pytest.approx(0.93 * 0.5)
+    assert speeds[0, 1] == speeds[-1, 1] == 1.0
+    assert gentle_speeds([push_of(1.0, 60.0)], 2.0, 0.1) is None
+
+
+def test_stresses_of_different_limbs_add_up(robot: Robot) -> None:
+    pushes = [push_of(1.0, 0.0, segment=number) for number in range(4)]
+    assert not list(load_violations(robot, pushes[:3]))
+    (found,) = load_violations(robot, pushes)
+    assert "40 MPa" in found
+    # Contacts with one segment are one load, and limbs with another root are separate.
+    assert not list(load_violations(robot, pushes[:1] * 4))
+    others = [push_of(1.0, 0.0, segment=number, root=number) for number in range(4)]
+    assert not list(load_violations(robot, others))
+
+
+def test_links_that_share_no_joint_may_squeeze_a_limb(robot: Robot) -> None:
+    neighbours = [push_of(0.2, 0.0), push_of(0.2, 0.0, "forearm", 3)]
+    assert not list(load_violations(robot, neighbours))
+    (found,) = load_violations(robot, [push_of(0.2, 0.0), push_of(0.2, 0.0, "upper_arm", 2)])
+    assert "from two sides" in found
+    later = replace(push_of(0.2, 0.0, "upper_arm", 2), begin_s=1.2, end_s=1.3)
+    assert not list(load_violations(robot, [push_of(0.2, 0.0), later]))
+
+
+def test_two_arms_do_not_push_one_limb() -> None:
+    one, other = push_of(0.2, 0.0), push_of(0.2, 0.0, root=5)
+    assert not list(shared_limb_violations({"left": [one], "right": [other]}))
+    (found,) = shared_limb_violations({"left": [one], "right": [one]})
+    assert found.startswith("'left' and 'right' push")
+
+
+def test_the_goal_moves_with_its_limb() -> None:
+    trunk = Capsule(name="trunk", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, 2.0), radius=0.03)
+    twig = Capsule(name="twig", start=(0.0, 0.0, 1.0), end=(0.4, 0.0, 1.0), radius=0.004, parent="trunk")
+    fruit = hplan.scene.Fruit(name="apple", center=(0.35, 0.0, 0.95), radius=0.04)
+    start = hplan.scene.Start(joints_deg=(0.0, 90.0, 90.0, 90.0))
+    scene = Scene(
+        name="twig", start=start, goal=hplan.scene.Goal(fruit="apple"), obstacles=(trunk, twig), fruits=(fruit,),
+        wood=Wood(),
+    )  # fmt: skip
+    limits = {solid.name: solid.contact_limit for solid in scene.listed_solids if solid.meets == "pushing"}
+    apple, tip = limits["apple"], limits["twig"]
+    assert apple is not None
+    assert tip is not None
+    push = Push("tool0", "twig", tip.depth, 1.0, 1.1, 1.0, 1.0, Load(tip, 4, 1.0, 0.0))
+    moved = goal_displacement([push], apple, 1.05)
+    # The fruit hangs a little before the tip, which is displaced by at most the depth and the part's own share.
+    assert 0.6 * tip.depth < moved < 1.3 * tip.depth
+    assert goal_displacement([push], apple, 2.0) == 0.0

@@ -54,6 +54,8 @@ class PlanOptions(Options):
         capture_m: Maximum offset of a fruit's center from where the gripper expects it: across the approach, and along
             it [m]. Only the grasps with the best approach for the position error are kept, within half a percent, and
             reports give the probability to catch each fruit (`hplan.planning.grasps`). None for neither.
+        gentle: True for the motion that pushes limbs with the least force, of those that take at most 5 % longer than
+            the fastest (`hplan.planning.less_force`).
         certify: False to export motions that are not certified; the report says so.
         bound: True to compute a lower bound of the duration of all motions, too (`hplan.planning.lower_bound`). It
             takes seconds if the base does not turn and obstacles block the way. Tours have no bound.
@@ -85,6 +87,7 @@ class PlanOptions(Options):
     risk: Annotated[float, Field(ge=LEAST_RISK, le=1.0)] | None = None
     standoff: NotNegative | None = None
     capture_m: tuple[_CaptureRange, _CaptureRange] | None = None
+    gentle: bool = False
     certify: bool = True
     bound: bool = False
     seed: Annotated[int, Field(ge=0, le=2**31)] = 0

@@ -17,6 +17,7 @@ from hplan.collision.far_obstacles import warn_of_far_obstacles
 from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
 from hplan.planning.at_risk import within_risk
 from hplan.planning.in_time import past_moving_obstacles
+from hplan.planning.less_force import with_less_force
 from hplan.planning.motion import Motion, Plan, Solver, best_of, motion_limits, seconds
 from hplan.planning.options import PlanOptions
 from hplan.planning.plans import plans_from_rest, with_all_efforts, with_reuse
@@ -157,7 +158,7 @@ def solver(before: Motion | None = None, stop: Trajectory | None = None) -> Solv
         before: An earlier motion, kept or repaired if possible.
         stop: A motion to rest from a start in motion, tried in addition to the default ones.
     """
-    solve = with_all_efforts(from_motion(plans_from_rest, stop))
+    solve = with_less_force(with_all_efforts(from_motion(plans_from_rest, stop)))
     return with_reuse(before, past_moving_obstacles(solve, stop))
 
 

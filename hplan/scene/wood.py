@@ -147,6 +147,11 @@ class Wood(StrictModel):
         """Minimum of Young's modulus [Pa]."""
         return 1e9 * self.youngs_modulus_gpa[0]
 
+    def scale(self, share: float) -> Wood:
+        """The same wood with a fraction of the limits of force and stress."""
+        limits = ("contact_force", "wood_stress_mpa", "fruit_force")
+        return self.with_values(**{key: share * getattr(self, key) for key in limits})
+
 
 class Pushables(NamedTuple):
     """Parts of limbs, and fruit, that links may push.

@@ -118,6 +118,8 @@ _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
         {"dest": "wood_stress_mpa", "type": float, "metavar": "MPA"}),
     ("wood", "--fruit-force", "maximum force on the stalk of a fruit that is pushed aside in newtons (default: the "
         "scene's, else 8)", {"type": float, "metavar": "N"}),
+    ("gentle", "--gentle", "push limbs with as little force as motions do that take at most 5 %% longer",
+        {"action": "store_true"}),
     ("pace", "--rate", "samples per second in the CSV (default: 250)",
         {"dest": "rate_hz", "type": float, "default": 250.0, "metavar": "HZ"}),
     ("pace", "--speed", "fraction of full speed, in (0, 1] (default: 1)",

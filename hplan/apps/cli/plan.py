@@ -103,7 +103,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     """Parser of the command's arguments."""
     parser = command_parser(__doc__, _EXIT_STATUS, prog=prog)
     add = parser.add_argument
-    add_shared(parser, "scene", "out", "force", "robot", "parts", "contacts", "wood")
+    add_shared(parser, "scene", "out", "force", "robot", "parts", "contacts", "wood", "gentle")
     add_shared(parser, "search", "effort", "seed", "grid", "pace", "tracking", "sigmas", "risk", "capture", "standoff")
     add("--uncertified", dest="certify", action="store_false", help="write the motion even if it is not certified; "
         "the report says whether it is")  # fmt: skip
@@ -130,7 +130,7 @@ def _plan_and_write(arguments: argparse.Namespace, folder: JobFolder, errors: Co
             from hplan.planning.specialist import specialist_of
             from hplan.scene.file import load_scene
 
-        options = plan_options(arguments, *OF_PLANS, "risk", "certify", "bound")
+        options = plan_options(arguments, *OF_PLANS, "risk", "certify", "bound", "gentle")
         needs_rosbags(arguments)
         given = load_scene(arguments.scene)
         robot = robot_of(arguments, given)

@@ -1,0 +1,57 @@
+"""Motions among limbs: which are preferred."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import hplan
+from hplan import PlanOptions
+from hplan.planning.less_force import LONGER
+from hplan.planning.result import PlanResult
+from hplan.scene import Goal, Scene, load_scene, with_limbs
+
+
+#: Fruits whose quickest motion pushes limbs.
+PUSHING = ("fruit 03", "fruit 10", "fruit 24")
+
+
+@cache
+def robot() -> hplan.Robot:
+    return hplan.load_robot("harvester")
+
+
+@cache
+def orchard(*, bends: bool) -> Scene:
+    scene = load_scene("orchard-row")
+    return with_limbs(scene) if bends else scene
+
+
+@cache
+def motion_to(fruit: str, *, bends: bool = True, gentle: bool = False) -> PlanResult:
+    scene = orchard(bends=bends).with_values(goal=Goal(fruit=fruit))
+    return hplan.plan(robot(), scene, PlanOptions(gentle=gentle))
+
+
+def largest_force(result: PlanResult) -> float:
+    return max((push.force_n or 0.0 for push in result.certificate.pushes or ()), default=0.0)
+
+
+def test_a_motion_that_touches_nothing_is_taken_if_it_is_as_fast() -> None:
+    stiff, bending = motion_to("fruit 07", bends=False), motion_to("fruit 07")
+    assert bending.certificate.verified
+    assert largest_force(bending) == 0.0
+    assert bending.trajectory.duration <= 1.01 * stiff.trajectory.duration
+
+
+def test_limbs_are_pushed_where_that_is_faster() -> None:
+    forces = {fruit: largest_force(motion_to(fruit)) for fruit in PUSHING}
+    assert any(0.0 < force <= 10.0 for force in forces.values())
+
+
+def test_gentle_motions_take_little_longer_and_push_less() -> None:
+    pairs = [(motion_to(fruit), motion_to(fruit, gentle=True)) for fruit in PUSHING]
+    for quick, gentle in pairs:
+        assert gentle.certificate.verified
+        assert gentle.trajectory.duration <= LONGER * quick.trajectory.duration
+        assert largest_force(gentle) <= largest_force(quick)
+    assert sum(largest_force(gentle) < largest_force(quick) for quick, gentle in pairs) > 0

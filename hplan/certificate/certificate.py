@@ -484,7 +484,7 @@ def certify_among(
         pushes = motion.pushes_by_segment
         violations += load_violations(robot, pushes)
         displacement = _goal_displacement(motion, pushes)
-        allowed = min((limit.capture_range for limit in last.fruit_limits), default=math.inf)
+        allowed = min((limit.capture_range for _, limit in last.fruit_limits), default=math.inf)
         if displacement is not None and displacement > allowed:
             violations.append(
                 f"pushed limbs displace the fruit by up to {1e3 * displacement:.3g} mm at the grasp; allowed: "
@@ -512,14 +512,17 @@ def certify_among(
 def _goal_displacement(motion: ProvedMotion, pushes: Sequence[Push]) -> float | None:
     """Upper bound of the displacement of grasped fruit by pushed limbs [m]; None without a fruit to grasp.
 
-    A fruit is grasped at the slowest sample while it may be touched.
+    A fruit is grasped where the tool rests nearest to it while it may be touched.
     """
-    found, trajectory = list[float](), motion.trajectory
+    found, trajectory, robot = list[float](), motion.trajectory, motion.robot
     for part, checker, *_ in motion.stretches:
-        rows = slice(part.start, min(part.stop + 1, trajectory.samples))
-        at = rows.start + int(np.abs(trajectory.velocity[rows]).max(axis=1).argmin())
-        for limit in checker.fruit_limits:
-            found.append(goal_displacement(pushes, limit, float(trajectory.time[at])))
+        rows = np.arange(part.start, min(part.stop + 1, trajectory.samples))
+        speeds = np.abs(trajectory.velocity[rows]).max(axis=1)
+        resting = rows[speeds <= max(REST, float(speeds.min()))]
+        for center, limit in checker.fruit_limits:
+            apart = np.linalg.norm(robot.tool_positions(trajectory.position[resting]) - center, axis=1)
+            at = trajectory.time[resting[ties.argmin(apart)]]
+            found.append(goal_displacement(pushes, limit, float(at)))
     return max(found, default=None)
 
 

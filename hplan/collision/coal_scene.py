@@ -361,13 +361,12 @@ class CoalScene:
         return any(limit is not None and limit.depth > 0.0 for limit in self.contact_limits)
 
     @property
-    def fruit_limits(self) -> Sequence[ContactLimit]:
-        """Contact limits of the hanging fruit that the last link may touch."""
+    def fruit_limits(self) -> Sequence[tuple[FloatArray, ContactLimit]]:
+        """Centres [m] and contact limits of the hanging fruit that the last link may touch."""
         touched = {name for name, _ in self._touched}
-        if not touched:
-            return []
-        limits = zip(self.obstacle_names, self.contact_limits, strict=False)
-        return [limit for name, limit in limits if limit is not None and limit.swing > 0.0 and name in touched]
+        solids = [solid for solid in self._built["obstacles"] if solid.name in touched] if touched else []
+        limits = [(solid.core.mean(axis=0), solid.contact_limit) for solid in solids]
+        return [(center, limit) for center, limit in limits if limit is not None and limit.swing > 0.0]
 
     def joint_of(self, pair: int) -> int:
         """Pinocchio's number of the joint that carries the moving body of a pair with an obstacle."""

@@ -65,7 +65,7 @@ class Limbs(Record):
         >>> limbs = Limbs.of([trunk, twig])
         >>> limbs.parent.tolist(), limbs.clamped.tolist()
         ([-1, 0], [True, False])
-        >>> round(1.0 / limbs.compliance(1, 1.0, 5e9)[2, 2], 1)  # newton per metre at the tip
+        >>> round(float(1.0 / limbs.compliance(1, 1.0, 5e9)[2, 2]), 1)  # newton per metre at the tip
         47.1
     """
 

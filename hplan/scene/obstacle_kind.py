@@ -106,6 +106,11 @@ class Item(StrictModel):
         return self
 
     @property
+    def is_static(self) -> bool:
+        """True if it neither moves nor sways."""
+        return self.track is None and self.sway is None
+
+    @property
     def place_covariance(self) -> FloatArray:
         """(3, 3) covariance of its position [m^2]."""
         return self.sigma**2 * np.eye(3) if self.covariance is None else np.array(self.covariance)

@@ -32,7 +32,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, TypeGuard
+from typing import Annotated, Any, Final, NamedTuple, Protocol, TypeGuard
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -42,13 +42,14 @@ from hplan.base.checked import StrictModel, fault
 from hplan.geometry.cloud import Cloud
 from hplan.scene.limbs import CLAMP_RADIUS_M, Limbs
 from hplan.scene.obstacle_kind import ContactLimit, Solid
-from hplan.scene.obstacles import Capsule, Sphere
+from hplan.scene.obstacles import Capsule, Obstacle, Sphere
 
 #: Share of the limits of force and stress for the deflection; the rest is for impacts.
 STATIC_SHARE: Final = 0.7
 
-#: Impacts in a row, and the return of a limb that was thrown ahead, exceed the first impact by at most this factor.
-IMPACT_FACTOR: Final = 2.0
+#: Impacts in a row, the return of a limb that was thrown ahead, and forks near a contact raise the first impact by at
+#: most this factor: the largest one found in 800 simulated pushes was 2.4 (`scripts/benchmark.py wood_moving`).
+IMPACT_FACTOR: Final = 2.6
 
 #: Maximum rotation of a limb at a contact, and the growth of its force over that of small deflections with the square
 #: of the rotation. A cantilever that is bent by a third of its length turns by 0.46 and needs 1.1 times the force of
@@ -84,9 +85,40 @@ _TOGETHER: Final = 256
 #: Number of scenes whose limbs are kept.
 _KEPT: Final = 8
 
-if TYPE_CHECKING:
-    from hplan.scene.model import Fruit
-    from hplan.scene.obstacles import Obstacle
+
+class HangingFruit(Protocol):
+    """A fruit of a scene, as far as it matters here (`hplan.scene.model.Fruit`)."""
+
+    @property
+    def name(self) -> str:
+        """Name."""
+        ...
+
+    @property
+    def center(self) -> tuple[float, float, float]:
+        """Centre [m]."""
+        ...
+
+    @property
+    def radius(self) -> float:
+        """Radius [m]."""
+        ...
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of its position [m]."""
+        ...
+
+    @property
+    def hangs_from(self) -> tuple[str, ...]:
+        """Names of the obstacles that it is attached to."""
+        ...
+
+    @property
+    def is_static(self) -> bool:
+        """True if it neither moves nor sways."""
+        ...
+
 
 _Positive = Annotated[float, Field(gt=0.0, le=1e12)]
 
@@ -197,7 +229,7 @@ class Pushables(NamedTuple):
 
 
 def contact_solids(
-    obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood: Wood
+    obstacles: Sequence[Obstacle], fruits: Sequence[HangingFruit], wood: Wood
 ) -> Mapping[str, tuple[Solid, ...]]:
     """Solids of the limbs and the fruit that bend, by name.
 
@@ -234,10 +266,12 @@ def limbs_of(obstacles: Sequence[Obstacle], wood: Wood) -> Limbs:
 
 
 def _is_still_capsule(piece: Any) -> TypeGuard[Capsule]:
-    return isinstance(piece, Capsule) and piece.track is None and piece.sway is None
+    return isinstance(piece, Capsule) and piece.is_static
 
 
-def _contact_solids(obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood: Wood) -> dict[str, tuple[Solid, ...]]:
+def _contact_solids(
+    obstacles: Sequence[Obstacle], fruits: Sequence[HangingFruit], wood: Wood
+) -> dict[str, tuple[Solid, ...]]:
     limbs = limbs_of(obstacles, wood)
     if not len(limbs.names):
         return {}
@@ -245,6 +279,9 @@ def _contact_solids(obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood
     whole |= {f.name: Sphere(name=f.name, center=f.center, radius=f.radius, sigma=f.sigma) for f in fruits}
     stiff = [solid for piece in obstacles if piece.name not in set(limbs.names) for solid in piece.solids]
     hanging, roots = hanging_fruits(fruits, limbs, wood), limbs.roots().tolist()
+    carried: dict[int, float] = {}
+    for segment, mass in zip(hanging.segment.tolist(), hanging.mass.tolist(), strict=True):
+        carried[roots[segment]] = carried.get(roots[segment], 0.0) + mass
     found = dict[str, tuple[Solid, ...]]()
     for pushables, most_force in ((divide_limbs(limbs, wood), wood.contact_force), (hanging, wood.fruit_force)):
         table = permitted_contacts(pushables, limbs, hanging, stiff, wood)
@@ -257,7 +294,7 @@ def _contact_solids(obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood
             point = HangingPoint(limbs, segment, low, wood.stiffest) if swing > 0.0 else None
             limit = ContactLimit(
                 depth, float(table.force[row]), float(table.stress[row]), segment, roots[segment], (low, high),
-                *_impact(limbs, segment, swing, float(pushables.mass[row]), wood),
+                *_impact(limbs, segment, swing, float(pushables.mass[row]), carried.get(roots[segment], 0.0), wood),
                 most_force, wood.wood_stress, point, wood.capture_range,
             )  # fmt: skip
             solid = _TEMPLATE.copy_unchecked({
@@ -303,11 +340,22 @@ class HangingPoint(Record):
         )
 
 
-def _impact(limbs: Limbs, segment: int, swing: float, mass: float, wood: Wood) -> tuple[float, float, float, float]:
+def _impact(
+    limbs: Limbs, segment: int, swing: float, mass: float, carried: float, wood: Wood
+) -> tuple[float, float, float, float]:
     """Impact, impact stress, swing and rate of `ContactLimit`.
 
-    The force is that of the contact's spring on a beam (see the module). A beam that is set in motion with the speed v
-    is bent by a wave with the stress 2 v sqrt(E rho), which is reflected at its clamp and its forks.
+    The force is that of the contact's spring on a beam (see the module), and on the fruit that hang from the same first
+    bending segment: stalks are stiff along their axis. A beam that is set in motion with the speed v is bent by a wave
+    with the stress 2 v sqrt(E rho), which is reflected at its clamp and its forks.
+
+    Args:
+        limbs: All limbs.
+        segment: Number of the segment.
+        swing: The swing of a fruit, 0 for a limb [N s^2/m^2].
+        mass: Mass of the fruit [kg].
+        carried: Mass of all fruit on limbs with the same root [kg].
+        wood: Limits and properties.
     """
     if swing > 0.0:
         return 0.0, 0.0, swing, math.sqrt(wood.contact_stiffness / mass)
@@ -316,7 +364,8 @@ def _impact(limbs: Limbs, segment: int, swing: float, mass: float, wood: Wood) -
     per_length = wood.density * math.pi * radius**2
     impedance = wood.contact_stiffness ** (1.0 / 3.0) * 2.0 * rigidity ** (1.0 / 6.0) * math.sqrt(per_length)
     stress = 2.0 * IMPACT_FACTOR * math.sqrt(wood.stiffest * wood.density)
-    return IMPACT_FACTOR * impedance, stress, 0.0, wood.contact_stiffness / impedance
+    force = IMPACT_FACTOR * impedance + math.sqrt(wood.contact_stiffness * carried)
+    return force, stress, 0.0, wood.contact_stiffness / impedance
 
 
 def divide_limbs(limbs: Limbs, wood: Wood) -> Pushables:
@@ -363,7 +412,7 @@ def _parts(limbs: Limbs, numbers: IntArray, low: FloatArray, high: FloatArray, w
     )  # fmt: skip
 
 
-def hanging_fruits(fruits: Sequence[Fruit], limbs: Limbs, wood: Wood) -> Pushables:
+def hanging_fruits(fruits: Sequence[HangingFruit], limbs: Limbs, wood: Wood) -> Pushables:
     """Fruit as pendulums on the limbs that they hang from.
 
     A fruit hangs from the nearest limb of its `hangs_from`, or of all, if that is within `STALK_M`. Along its stalk it
@@ -372,7 +421,7 @@ def hanging_fruits(fruits: Sequence[Fruit], limbs: Limbs, wood: Wood) -> Pushabl
     """
     rows = list[tuple[Any, ...]]()
     for fruit in fruits:
-        if fruit.track is not None or fruit.sway is not None:
+        if not fruit.is_static:
             continue
         hung = limbs.nearest(np.array(fruit.center), fruit.hangs_from)
         if hung is None or hung[2] - fruit.radius - limbs.radius[hung[0]] > STALK_M:

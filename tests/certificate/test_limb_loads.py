@@ -121,7 +121,9 @@ def test_smaller_limits_refuse_the_motion(robot: Robot, plans: list[PlanResult])
     )
     assert result.scene.wood is not None
     found = hplan.certify(
-        robot, result.scene.with_values(wood=result.scene.wood.with_values(contact_force=0.2, fruit_force=0.2)), result.trajectory
+        robot,
+        result.scene.with_values(wood=result.scene.wood.with_values(contact_force=0.2, fruit_force=0.2)),
+        result.trajectory,
     )
     assert not found.verified
 

@@ -10,7 +10,6 @@ from hplan.planning.less_force import LONGER
 from hplan.planning.result import PlanResult
 from hplan.scene import Goal, Scene, load_scene, with_limbs
 
-
 #: Fruits whose quickest motion pushes limbs.
 PUSHING = ("fruit 03", "fruit 10", "fruit 24")
 

@@ -90,17 +90,6 @@ class _Leg(NamedTuple):
     bounds: ToolBounds | None = None
 
 
-class _Tilt(NamedTuple):
-    """Maximum tilt [rad], and kernel arrays of the upright constraint."""
-
-    most: float
-    chain: Chain
-
-    def restrict(self, to: Problem) -> Chain:
-        """Return the upright constraint within the joint ranges of a motion."""
-        return self.chain._replace(lower=np.array(to.lower[0]), upper=np.array(to.upper[0]))
-
-
 @dataclass(frozen=True, eq=False)
 class _PoseTask:
     """A task of `plan_poses`.
@@ -108,7 +97,8 @@ class _PoseTask:
     Attributes:
         upright: Unit vector pointing up, in `base_link`.
         direction: The same vector at the start, in the tool frame.
-        tilt: The tilt constraint; None for free orientation.
+        tilt_rad: Maximum tilt; None for free orientation [rad].
+        chain: The upright constraint for kernels, with the maximum tilt of tree nodes; None for free orientation.
     """
 
     problem: Problem
@@ -117,7 +107,8 @@ class _PoseTask:
     deviation_m: float
     upright: FloatArray
     direction: FloatArray
-    tilt: _Tilt | None
+    tilt_rad: float | None
+    chain: Chain | None
 
 
 def plan_poses(
@@ -187,12 +178,12 @@ def plan_poses(
             gravity = np.array(robot.model.gravity.linear)
             up = -gravity / np.linalg.norm(gravity) if gravity.any() else np.array([0.0, 0.0, 1.0])
             direction = robot.forward_kinematics(begin)[:3, :3].T @ up
-            tilt = None
+            chain = None
             if tilt_rad is not None:
                 _check_upright(checked, up, direction, _OF_TILT * tilt_rad)
-                tilt = _Tilt(tilt_rad, _upright_chain(robot, scene, up, direction, _OF_TILT * tilt_rad))
+                chain = _upright_chain(robot, scene, up, direction, _OF_TILT * tilt_rad)
             lines = tuple(truth("straight", way) for way in ways)
-            task = _PoseTask(problem, checked, lines, deviation_m, up, direction, tilt)
+            task = _PoseTask(problem, checked, lines, deviation_m, up, direction, tilt_rad, chain)
             return _finished_result(task, _find_legs(task, begin, 0))
         except TimeIsUpError:
             raise limit.error(clock.describe()) from None
@@ -223,6 +214,11 @@ def _upright_chain(robot: Robot, scene: Scene, up: FloatArray, direction: FloatA
     chain = with_direction(chain_of(robot, pose, UPRIGHT), direction)
     moves = np.where(robot.locked_mask(scene.locked_joints), 0.0, chain.moves)
     return chain._replace(moves=moves, free_turn=np.array([UPRIGHT, lean]))
+
+
+def _restrict(chain: Chain, to: Problem) -> Chain:
+    """Return a chain within the joint ranges of a motion."""
+    return chain._replace(lower=np.array(to.lower[0]), upper=np.array(to.upper[0]))
 
 
 def _check_upright(poses: Sequence[FloatArray], up: FloatArray, direction: FloatArray, most: float) -> None:
@@ -320,8 +316,8 @@ def _find_free_legs(task: _PoseTask, begin: FloatArray, number: int, given_up: S
     still = [to for to in tasks if to.is_empty]
     yield from (_Leg(number, to, np.stack([begin, to.goal])) for to in still)
     tasks = [to for to in tasks if not to.is_empty]
-    if task.tilt is not None:
-        yield from _upright(task.tilt, tasks, number, given_up)
+    if task.chain is not None:
+        yield from _upright(task.chain, tasks, number, given_up)
         return
     while tasks:
         at, motion = best_motion(merge_problems(tasks))
@@ -347,7 +343,7 @@ def _ends(task: _PoseTask, begin: FloatArray, number: int) -> FloatArray:
         return configurations_at(problem.world, goal, begin, problem.scene.locked_joints)
 
 
-def _upright(tilt: _Tilt, tasks: Sequence[Problem], number: int, given_up: Sequence[Problem]) -> Iterator[_Leg]:
+def _upright(chain: Chain, tasks: Sequence[Problem], number: int, given_up: Sequence[Problem]) -> Iterator[_Leg]:
     """Yield upright paths to configurations: direct in joint space, or from trees.
 
     Raises:
@@ -357,13 +353,13 @@ def _upright(tilt: _Tilt, tasks: Sequence[Problem], number: int, given_up: Seque
         return
     field, reached = tasks[0].field, False
     for to in tasks:
-        rows = _follow_upright(tilt, to, to.start, to.goal)
+        rows = _follow_upright(chain, to, to.start, to.goal)
         if rows is not None and field.is_clear(rows, 0.1 * to.margin):
             reached = True
             yield _Leg(number, to, rows)
     first, least = tasks[0], 0.1 * min(to.margin for to in tasks)
     # Longest edge of upright trees for a tilt of one radian [s]; it scales with the square root of the tilt.
-    edge_s, chain = 0.1 * math.sqrt(_OF_TILT * tilt.most), tilt.restrict(first)
+    edge_s, upright = 0.1 * math.sqrt(chain.free_turn[1]), _restrict(chain, first)
     for seed, evaluations in enumerate(_TREES):
         left = [to for to in tasks if to not in given_up]
         if not left:
@@ -371,20 +367,20 @@ def _upright(tilt: _Tilt, tasks: Sequence[Problem], number: int, given_up: Seque
         goals = np.array([to.goal for to in left])
         with stage("trees"):
             path, _ = tree_path(
-                first, least, evaluations, first.effort.seed + seed, goals=goals, upright=chain, edge_s=edge_s
+                first, least, evaluations, first.effort.seed + seed, goals=goals, upright=upright, edge_s=edge_s
             )
         if path is not None:
             reached, to = True, left[int((goals == path[-1]).all(axis=1).argmax())]
-            yield _Leg(number, to, _shorten_upright(tilt, to, path))
+            yield _Leg(number, to, _shorten_upright(chain, to, path))
     if not reached:
         tried = f"trees of upright configurations, with {sum(_TREES)} evaluations, to pose {number + 1}"
         raise NotFoundError([tried], pose=number)
 
 
-def _follow_upright(tilt: _Tilt, to: Problem, begin: FloatArray, end: FloatArray) -> FloatArray | None:
+def _follow_upright(chain: Chain, to: Problem, begin: FloatArray, end: FloatArray) -> FloatArray | None:
     """(m, dof) closely spaced upright configurations between two; None if infeasible."""
     count = max(2, math.ceil(float(np.abs(end - begin).max()) / _ROW) + 1)
-    chain = tilt.restrict(to)
+    chain = _restrict(chain, to)
     rows, poses = np.repeat(begin[None], count, axis=0), np.repeat(chain.pose[None], count, axis=0)
     most = np.full(rows.shape, 4.0 * _ROW)
     reached = follow(poses, most, np.array(end), 1.0, chain, rows)
@@ -394,7 +390,7 @@ def _follow_upright(tilt: _Tilt, to: Problem, begin: FloatArray, end: FloatArray
     return rows
 
 
-def _shorten_upright(tilt: _Tilt, to: Problem, path: FloatArray) -> FloatArray:
+def _shorten_upright(chain: Chain, to: Problem, path: FloatArray) -> FloatArray:
     """Return the path with upright shortcuts."""
     parts = [np.linspace(*pair, max(2, math.ceil(float(np.abs(pair[1] - pair[0]).max()) / _ROW) + 1))[1:]
              for pair in pairwise(path)]  # fmt: skip
@@ -404,7 +400,7 @@ def _shorten_upright(tilt: _Tilt, to: Problem, path: FloatArray) -> FloatArray:
             low, high = np.sort(draw.integers(0, len(rows), 2))
             if high - low < 2:
                 continue
-            between = _follow_upright(tilt, to, rows[low], rows[high])
+            between = _follow_upright(chain, to, rows[low], rows[high])
             if (
                 between is not None
                 and path_length(between) < path_length(rows[low : high + 1])
@@ -475,7 +471,7 @@ def _finished_result(task: _PoseTask, legs: Sequence[_Leg]) -> PlanResult:
         replace(first, problem=replace(first.problem, scene=along)),
         tuple(others),
     )
-    allowed = None if task.tilt is None else math.degrees(task.tilt.most)
+    allowed = None if task.tilt_rad is None else math.degrees(task.tilt_rad)
     found = {"allowed_deviation_m": task.deviation_m, "allowed_tilt_deg": allowed, "phases": told}
     return replace(plan_result(whole), told={"poses": found})
 
@@ -504,7 +500,7 @@ def _certify_leg(task: _PoseTask, leg: _Leg) -> _Leg:
         motion = Motion(name, trajectory, certificate, to, frozen(np.array(leg.rows)), path, origin)
         with stage("certificate"):
             bounds = _tool_bounds(task, motion)
-        tilted = task.tilt is not None and bounds.tilt_rad > task.tilt.most
+        tilted = task.tilt_rad is not None and bounds.tilt_rad > task.tilt_rad
         if not tilted and (not task.straight[leg.number] or bounds.deviation_m <= task.deviation_m):
             motion, bounds = (motion, bounds) if task.straight[leg.number] else _optimize_upright(task, motion, bounds)
             return leg._replace(motion=motion, bounds=bounds)
@@ -522,13 +518,14 @@ def _optimize_upright(task: _PoseTask, motion: Motion, bounds: ToolBounds) -> tu
 
     The given one is kept if it is close to its duration bound, or if the optimized one tilts too far.
     """
-    if task.tilt is None or motion.trajectory.duration <= _FAST * motion.problem.least_duration:
+    is_fast = motion.trajectory.duration <= _FAST * motion.problem.least_duration
+    if task.tilt_rad is None or task.chain is None or is_fast:
         return motion, bounds
-    chain = task.tilt.restrict(motion.problem)
-    quicker = best_of(improve(motion, chain._replace(free_turn=np.array([UPRIGHT, _OPTIMIZED * task.tilt.most]))))
+    chain = _restrict(task.chain, motion.problem)
+    quicker = best_of(improve(motion, chain._replace(free_turn=np.array([UPRIGHT, _OPTIMIZED * task.tilt_rad]))))
     with stage("certificate"):
         found = _tool_bounds(task, quicker)
-    return (quicker, found) if found.tilt_rad <= task.tilt.most else (motion, bounds)
+    return (quicker, found) if found.tilt_rad <= task.tilt_rad else (motion, bounds)
 
 
 def _tool_bounds(task: _PoseTask, motion: Motion) -> ToolBounds:

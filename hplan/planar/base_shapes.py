@@ -12,7 +12,6 @@ also in contact. `hplan.geometry.lipschitz` decides with this bound.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import ClassVar, Final, Literal
 
 import coal
@@ -21,7 +20,7 @@ import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, frozen
 from hplan.geometry.shape_outline import coal_distance, outline, solid_geometry
-from hplan.planar.family_reader import family_of, is_planar
+from hplan.planar.family_reader import family_of
 from hplan.robot.model import Robot, made_once
 
 #: Carriers of base shapes that a link can touch: bodies that turn with the arm plane, and fixed bodies.
@@ -68,22 +67,6 @@ class BaseShape:
         """
         return self.is_round or self.carrier == TURRET
 
-    @cached_property
-    def radius(self) -> float:
-        """Maximum distance of its points from the yaw axis [m]."""
-        x, y, _ = (self.core - self.axis).T
-        return float(np.hypot(x, y).max()) + self.rounding
-
-    @cached_property
-    def bottom(self) -> float:
-        """Height of its lowest point [m]."""
-        return float(self.core[:, 2].min()) - self.rounding
-
-    @cached_property
-    def top(self) -> float:
-        """Height of its highest point [m]."""
-        return float(self.core[:, 2].max()) + self.rounding
-
     def distance_from(self, point: FloatArray) -> float:
         """Distance from a (3,) point [m]; at most 0 inside.
 
@@ -91,11 +74,6 @@ class BaseShape:
         """
         ball, at = coal.Sphere(_SPECK_RADIUS), pin.SE3(np.eye(3), point)
         return coal_distance(self.placed.geometry, self.placement, ball, at) + _SPECK_RADIUS
-
-    def placed_at(self, yaw: float) -> pin.SE3:
-        """Pose in `base_link` with the turret at a yaw."""
-        turn = pin.utils.rotate("z", yaw)
-        return pin.SE3(turn, self.axis - turn @ self.axis) * self.placement
 
 
 #: Radius of the ball that represents a point [m].
@@ -112,15 +90,6 @@ def base_shapes(robot: Robot) -> tuple[BaseShape, ...]:
     return tuple(
         _base_shape(robot, number) for number, shape in objects if shape.parentJoint <= family_of(robot).yaw_joints
     )
-
-
-def turning_shapes(robot: Robot) -> tuple[BaseShape, ...]:
-    """Turret shapes that are not round about the yaw axis.
-
-    These change with the yaw.
-    """
-    shapes = base_shapes(robot) if is_planar(robot) else ()
-    return tuple(shape for shape in shapes if shape.carrier == TURRET and not shape.is_round)
 
 
 def _base_shape(robot: Robot, number: int) -> BaseShape:

@@ -11,6 +11,7 @@ import pytest
 from arm_variants import axis_points
 from fitted_arms import Bodies, box, distance, fitted, mesh, quintic, scene_of
 from studies.planar_cspace import joint_grid
+from turret_shapes import bottom, placed_at, radius, turning_shapes
 
 from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene
@@ -19,7 +20,7 @@ from hplan.errors import ConfigurationInCollisionError, NoPathError
 from hplan.geometry.hull import CUBE_CORNERS
 from hplan.geometry.lipschitz import is_always_within, may_reach
 from hplan.geometry.shape_outline import coal_distance
-from hplan.planar.base_shapes import GROUND_CARRIER, TURRET, base_shapes, turning_shapes
+from hplan.planar.base_shapes import GROUND_CARRIER, TURRET, base_shapes
 from hplan.planar.family_reader import family_of
 from hplan.planar.grid.occupancy import occupancy
 from hplan.planar.grid.prepared_obstacles import prepare_obstacles
@@ -66,7 +67,7 @@ def own(robot, mover="", **made):
 
 def turret_radius(robot):
     """Maximum distance of the turret's moving bodies from the yaw axis [m]."""
-    return max((shape.radius for shape in turning_shapes(robot)), default=0.0)
+    return max((radius(shape) for shape in turning_shapes(robot)), default=0.0)
 
 
 # Turret and obstacles
@@ -123,7 +124,7 @@ def test_ranges_of_yaw_are_those_of_coal(tmp_path, clearance, sigma):
     robot = fitted(tmp_path, {"turret": carried})
     bodies, walls = Bodies(robot), 0
     turning = [shape for shape in bodies.shapes if shape[0] == 1][1:]
-    lowest = [shape.bottom for shape in base_shapes(robot) if shape.carrier == TURRET][1:]
+    lowest = [bottom(shape) for shape in base_shapes(robot) if shape.carrier == TURRET][1:]
     for _ in range(12):
         obstacles = [
             Sphere(name=f"o{i}", center=(r * math.cos(a), r * math.sin(a), z), radius=0.06, sigma=sigma)
@@ -174,9 +175,9 @@ def test_ground_is_below_at_all_yaws(tmp_path):
 def test_uncertain_height_counts_for_turret(tmp_path):
     """An obstacle 5 mm below it may be 9 mm higher; the supporting floor may not."""
     robot = fitted(tmp_path, {"turret": [box((0.5, 0.1, 0.2), (-0.3, 0.0, 0.1))]})
-    bottom = next(shape.bottom for shape in turning_shapes(robot))
-    crate = Box(name="crate", center=(0.0, 0.3, bottom - 0.055), size=(0.1, 0.1, 0.1))
-    floor = Box(name="floor", center=(0.0, 0.0, bottom - 0.05), size=(6.0, 6.0, 0.1))
+    lowest = next(bottom(shape) for shape in turning_shapes(robot))
+    crate = Box(name="crate", center=(0.0, 0.3, lowest - 0.055), size=(0.1, 0.1, 0.1))
+    floor = Box(name="floor", center=(0.0, 0.0, lowest - 0.05), size=(6.0, 6.0, 0.1))
     for growth in (0.0, 0.009):
         checker = CoalScene(robot, [crate, floor], growth=np.full(2, growth))
         distances = checker.distances([math.pi / 2, 0.0, 0.0, 0.0])[checker.mover_names.index("turret")]
@@ -189,7 +190,7 @@ def test_uncertain_height_counts_for_turret(tmp_path):
 def test_obstacle_grazed_by_turret_from_above_blocks(tmp_path, kind, depth):
     """Even a small overlap: the turret does not rest on it, but turns into it."""
     robot = fitted(tmp_path, {"turret": [box((0.2, 0.1, 0.1), (-0.3, 0.0, 0.45))]})
-    top = max((shape for shape in base_shapes(robot) if shape.carrier == TURRET), key=lambda shape: shape.radius).bottom
+    top = bottom(max((shape for shape in base_shapes(robot) if shape.carrier == TURRET), key=radius))
     top += depth
     obstacle = Sphere(name="kerb", center=(0.0, 0.3, top - 0.05), radius=0.05)
     if kind == "box":
@@ -266,7 +267,7 @@ def test_turret_and_pedestal_that_always_or_never_touch_are_left_out(tmp_path):
     turning, standing = base_shapes(robot)[-1], base_shapes(robot)[1]
     ends = (robot.lower[0], robot.upper[0])
     gap = min(
-        coal_distance(turning.placed.geometry, turning.placed_at(yaw), standing.placed.geometry, standing.placement)
+        coal_distance(turning.placed.geometry, placed_at(turning, yaw), standing.placed.geometry, standing.placement)
         for yaw in ends
     )
     assert 0.0 < gap < 0.05

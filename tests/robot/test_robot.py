@@ -15,11 +15,11 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
+from turret_shapes import radius, turning_shapes
 
 from hplan.base.data_files import urdf_dir
 from hplan.certificate.digests import robot_digest
 from hplan.errors import JointLimitError, OptionError, RobotFamilyError, RobotFileError
-from hplan.planar.base_shapes import turning_shapes
 from hplan.planar.family_reader import family_of, is_planar
 from hplan.robot.family import HARVESTER, ORCHARD_HARVESTER, cross_check
 from hplan.robot.family.members import ArmSpec, write_robot
@@ -540,7 +540,7 @@ def test_offsets_survive_writing_and_reading(tmp_path):
     assert family_of(robot).arm.lateral.tolist() == [-0.06, 0.02, 0.0]  # the plane's normal is -y
     assert family_of(robot).arm.half_widths == pytest.approx(HARVESTER.link_half_widths, rel=1e-9)
     (axle,) = turning_shapes(robot)  # the pedestal and the turret's body are round about the yaw axis
-    assert axle.radius == pytest.approx(math.hypot(0.15 + 0.06, 0.8 * 0.05), rel=2e-3)
+    assert radius(axle) == pytest.approx(math.hypot(0.15 + 0.06, 0.8 * 0.05), rel=2e-3)
 
 
 # Faults

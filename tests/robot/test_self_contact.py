@@ -21,8 +21,6 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.collision.collision_bodies import collision_bodies
 from hplan.collision.compiled_field import ClearanceField
 from hplan.collision.self_pairs import required_distances, self_pairs
-from hplan.geometry.shape_outline import coal_distance
-from hplan.planar.base_shapes import turning_shapes
 from hplan.planar.family_reader import family_of
 from hplan.planar.grid.grid import Grid
 from hplan.planar.grid.occupancy import occupancy
@@ -157,20 +155,6 @@ def test_pairs_are_those_that_sampling_finds(tmp_path):
         apart += len(least) - len(known)
     assert seen > 15
     assert apart > 5
-
-
-def test_turret_turns_about_yaw_axis(tmp_path):
-    """An axle that carries a shoulder off the axis, as Pinocchio turns it."""
-    robot = arm_of(tmp_path, 0.0, 90.0, yaw_axis=(0.7, -0.5), shoulder_offset=0.4)
-    (axle,) = turning_shapes(robot)
-    assert axle.radius == pytest.approx(math.hypot(0.4, 0.8 * 0.05), rel=2e-3)
-    data, ball, place = robot.model.createData(), coal.Sphere(0.05), pin.SE3(np.eye(3), np.array([0.8, -0.1, 0.65]))
-    for yaw in np.linspace(-3.0, 3.0, 7):
-        pin.forwardKinematics(robot.model, data, np.array([yaw, 0.0, 0.0, 0.0]))
-        at = data.oMi[1] * robot.collision_model.geometryObjects[axle.number].placement
-        assert coal_distance(axle.placed.geometry, axle.placed_at(yaw), ball, place) == pytest.approx(
-            coal_distance(axle.placed.geometry, at, ball, place), abs=1e-9
-        )
 
 
 # C-space

@@ -331,9 +331,7 @@ def test_program_without_solution_is_not_solved():
     assert not solve_program(rows, 1, 0, ACCURACY, NEVER)[0]
 
 
-DEFAULT = EFFORTS["default"].starts
-assert DEFAULT is not None
-EFFORT = DEFAULT.optimization
+EFFORT = EFFORTS["default"].starts
 
 
 @pytest.fixture(scope="module")

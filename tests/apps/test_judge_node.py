@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+from array import array
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,8 @@ import pytest
 from ros_client import Client, need_ros, node_process
 
 import hplan
-from hplan.apps.ros import to_joint_trajectory, to_message
+from hplan.apps.ros import SceneUpdates, to_joint_trajectory, to_message
+from hplan.errors import SceneError
 from hplan.scene.model import Scene
 
 need_ros()
@@ -200,6 +202,28 @@ def test_robot_from_its_topics_and_joints_at_rest(client: Client, motion: hplan.
         client.wait(lambda: len(verdicts) == 2)
         assert "the message moves" not in " ".join(json.loads(verdicts[1].data)["violations"])
     client.node.destroy_publisher(publisher)
+
+
+def test_planning_scenes_from_the_wire() -> None:
+    """Octomap, matrix, padding, bytes and attached objects, serialized and read again by rclpy."""
+    from moveit_msgs.msg import PlanningScene
+    from rclpy.serialization import deserialize_message, serialize_message
+
+    message = planning_scene(hplan.load_scene("table-1"))
+    tree = {"binary": True, "id": "OcTree", "resolution": 0.1, "data": array("b", [3, 0] * 15 + [2, 0])}
+    matrix = {"entry_names": ["a", "b"], "entry_values": [{"enabled": [False, True]}, {"enabled": [True, False]}]}
+    world = {"octomap": {"header": {"frame_id": "world"}, "octomap": tree}}
+    more = {"is_diff": True, "world": world, "allowed_collision_matrix": matrix}
+    more["link_padding"] = [{"link_name": "a", "padding": 0.01}]
+    updates = SceneUpdates(leave_out=("link_padding",))
+    for each in (message, to_message(PlanningScene, more)):
+        updates.apply(deserialize_message(serialize_message(each), PlanningScene))
+    assert [item.name for item in updates.obstacles] == ["moveit ball", "octomap 1"]
+    assert updates.padding_m == 0.01
+    held = {"link_name": "hand", "object": {"id": "moveit ball", "operation": b"\0"}}
+    attached = {"is_diff": True, "robot_state": {"attached_collision_objects": [held]}}
+    with pytest.raises(SceneError, match="'moveit ball' is attached to link 'hand'"):
+        updates.apply(deserialize_message(serialize_message(to_message(PlanningScene, attached)), PlanningScene))
 
 
 @pytest.mark.parametrize(

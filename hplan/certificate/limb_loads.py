@@ -91,6 +91,9 @@ def _share_limb(one: Push, other: Push) -> bool:
 def goal_displacement(pushes: Sequence[Push], fruit: ContactLimit, time_s: float) -> float:
     """Upper bound of the displacement of a fruit's limb by the contacts at a time [m].
 
+    Of the contacts with limbs that carry the fruit, or grow from its limb, the largest counts: they are on one side,
+    and each deflects what is beyond it. Those with other limbs of the same root add up.
+
     Args:
         pushes: Contacts within single segments of a motion.
         fruit: The fruit's own contact limit.
@@ -102,8 +105,9 @@ def goal_displacement(pushes: Sequence[Push], fruit: ContactLimit, time_s: float
         if load is None or not push.begin_s <= time_s <= push.end_s or fruit.displacement is None:
             continue
         if load.limit.root >= 0 and load.limit.root == fruit.root and load.limit.swing == 0.0:
-            moved = load.share * load.limit.force * fruit.displacement(load.limit)
-            largest[load.limit.segment] = max(largest[load.limit.segment], moved)
+            per_depth, carries = fruit.displacement(load.limit)
+            key = -1 if carries else load.limit.segment
+            largest[key] = max(largest[key], push.depth_m * per_depth)
     return sum(largest.values())
 
 

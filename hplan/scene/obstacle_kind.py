@@ -156,8 +156,9 @@ class ContactLimit(NamedTuple):
             accelerate it beyond the speed rate d.
         most_force: Allowed force [N].
         most_stress: Allowed bending stress [Pa].
-        displacement: For a fruit the largest displacement of its limb where it hangs by a force on another part of a
-            limb, as a function of that part's limit [m/N]; None for limbs.
+        displacement: For a fruit, function of the limit of a part of a limb: largest displacement of the point that the
+            fruit hangs from per deflection of that part, and True if one of both limbs carries the other; None for
+            limbs.
         capture_range: Allowed displacement of a fruit that is grasped [m].
     """
 
@@ -173,7 +174,7 @@ class ContactLimit(NamedTuple):
     rate: float
     most_force: float
     most_stress: float
-    displacement: Callable[[ContactLimit], float] | None
+    displacement: Callable[[ContactLimit], tuple[float, bool]] | None
     capture_range: float
 
 

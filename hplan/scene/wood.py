@@ -76,7 +76,10 @@ GRAVITY: Final = 9.81
 #: Prevents divisions by zero where a limb is clamped.
 _TINY: Final = 1e-12
 
-#: Number of extensions that are tried, from none to the depth across the axis.
+#: Maximum extension of a part as a multiple of its depth.
+MOST_EXTENSION: Final = 1.0
+
+#: Number of extensions that are tried, from none to that.
 _SHARES: Final = 17
 
 #: Number of limb parts whose neighbours are found together.
@@ -325,19 +328,50 @@ class HangingPoint(Record):
     along: float
     youngs_modulus: float
 
-    def __call__(self, limit: ContactLimit) -> float:
-        """Largest displacement by a unit force on a part of a limb [m/N]; 0 if they share no bending segment."""
+    def __call__(self, limit: ContactLimit) -> tuple[float, bool]:
+        r"""Largest displacement per deflection of a part of a limb, and True if one of both carries the other.
+
+        A contact with the normal n deflects the part by its depth along n, and displaces this point by the depth times
+        :math:`|C_{fx} n| / (n^\top C_{xx} n)`. The maximum over all n across the part is bounded between samples by
+        the derivatives of both quadratic forms.
+        """
         limbs, numbers = self.limbs, (self.segment, limit.segment)
-        places = [
-            [limbs.start[number] + along * limbs.axis[number] for along in ends]
-            for number, ends in zip(numbers, ((self.along,), limit.along), strict=True)
-        ]
-        return max(
-            float(
-                np.linalg.norm(limbs.mutual_compliance(numbers, np.stack([places[0][0], at]), self.youngs_modulus), 2)
-            )
-            for at in places[1]
-        )
+        path, other = limbs.path(self.segment), limbs.path(limit.segment)
+        if not path or not other or path[-1] != other[-1]:
+            return 0.0, False
+        here, axis = limbs.start[self.segment] + self.along * limbs.axis[self.segment], limbs.axis[limit.segment]
+        across = _across(axis)
+        largest = 0.0
+        for along in limit.along:
+            at = limbs.start[limit.segment] + along * axis
+            moved = limbs.mutual_compliance(numbers, np.stack([here, at]), self.youngs_modulus) @ across.T
+            own = limbs.compliance(limit.segment, along / float(limbs.length[limit.segment]), self.youngs_modulus)
+            largest = max(largest, _largest_ratio(moved.T @ moved, across @ own[:3, :3] @ across.T))
+        return largest, limit.segment in path or self.segment in other
+
+
+#: Number of normals across a limb between which the displacement is bounded.
+_NORMALS: Final = 256
+
+
+def _across(axis: FloatArray) -> FloatArray:
+    """(2, 3) unit vectors across an axis."""
+    first = np.cross(axis, np.eye(3)[int(np.abs(axis).argmin())])
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(axis, first)])
+
+
+def _largest_ratio(above: FloatArray, below: FloatArray) -> float:
+    """Upper bound of sqrt(n^T above n) / (n^T below n) for unit vectors n of the plane, for (2, 2) matrices."""
+    angle = np.arange(_NORMALS) * math.pi / _NORMALS
+    normals = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    step = 0.5 * math.pi / _NORMALS  # from the nearest sample; a quadratic form changes by its spread per radian
+    tops, bottoms = (np.einsum("ki,ij,kj->k", normals, matrix, normals) for matrix in (above, below))
+    spreads = [float(np.ptp(np.linalg.eigvalsh(matrix))) for matrix in (above, below)]
+    lowest = np.maximum(bottoms - step * spreads[1], float(np.linalg.eigvalsh(below)[0]))
+    if float(lowest.min()) <= 0.0:
+        return math.inf
+    return float((np.sqrt(tops + step * spreads[0]) / lowest).max())
 
 
 def _impact(
@@ -501,10 +535,10 @@ def _depth_and_extension(pushables: Pushables) -> tuple[FloatArray, FloatArray]:
     scaled, axis = pushables.force[:, None, None] * pushables.compliance, pushables.stiff_axis
     alone = _lateral_depth(pushables)
     depth, extension = np.zeros(len(alone)), np.zeros(len(alone))
-    for share in np.linspace(0.0, 1.0, _SHARES):
+    for share in np.linspace(0.0, MOST_EXTENSION, _SHARES):
         tried = share * alone
         found = np.clip(_smallest(scaled, axis, tried), 0.0, alone)
-        better = (found > depth * (1.0 + 1e-9)) & (tried <= found * (1.0 + 1e-9))
+        better = (found > depth * (1.0 + 1e-9)) & (tried <= MOST_EXTENSION * found * (1.0 + 1e-9))
         depth, extension = np.where(better, found, depth), np.where(better, tried, extension)
     return depth, extension
 

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray
-from hplan.certificate.clearance_proof import Advancement, place_after, point_at
+from hplan.base.arrays import FloatArray, IntArray
+from hplan.certificate.clearance_proof import Advancement, point_at
 from hplan.collision.coal_scene import CoalScene
 from hplan.scene.obstacle_kind import ContactLimit
 
@@ -111,39 +111,46 @@ def pushes_along(
     if not len(pairs):
         return
     search, rows = Advancement(bezier, checker, deviations, clearance, clock), len(bezier)
-    (sway, travel), mover_of = search.movers, search.mover_of.tolist()
+    (sway, travel), mover_of = search.movers, search.mover_of
     allowed = -np.broadcast_to(checker.required_distance(clearance), len(checker.pairs))
     most = allowed if proved else np.full(len(checker.pairs), math.inf)
     before = np.full(len(checker.pairs), math.inf)
-    due: dict[int, list[int]] = {0: pairs.tolist()}
+    due: dict[int, list[IntArray]] = {0: [pairs]}
     for row in range(rows + 1):
-        asked = np.array(due.pop(row, []), dtype=np.int64)
-        if not len(asked):
+        if row not in due:
             continue
+        asked = np.sort(np.concatenate(due.pop(row)))
         search.place(point_at(bezier, float(row)), float(row))
-        distances = checker.distances_of(asked) - checker.distance_errors[asked]
-        for pair, distance in zip(asked.tolist(), distances.tolist(), strict=True):
-            mover = mover_of[pair]
-            travelled = float(travel[mover, row] - travel[mover, max(row - 1, 0)])
-            nearer = float(max(sway[mover, row], sway[mover, max(row - 1, 0)]))
-            depth = nearer - 0.5 * (float(before[pair]) + distance - travelled)
-            if depth > 0.0:
-                mover_name, other = checker.mover_names[checker.pairs[pair][0]], checker.pairs[pair][1]
-                span = float(time[row - 1]), float(time[row])
-                depth = min(depth, float(most[pair]))
-                found = Push(mover_name, checker.obstacle_names[other], depth, *span)
-                limit = checker.contact_limits[other]
-                if limit is not None and limit.depth > 0.0:
-                    speed = min((travelled + nearer) / max(span[1] - span[0], _TINY_S), limit.rate * depth)
-                    load = Load(limit, checker.joint_of(pair), depth / float(allowed[pair]), speed)
-                    stress = 1e-6 * (load.stress + load.impact_stress)
-                    found = replace(found, force_n=load.force, stress_mpa=stress, load=load)
-                yield found
-            ahead = place_after(travel[mover], float(row), max(distance - nearer, 0.0))
-            following = max(row + 1, math.floor(min(ahead, rows + 1.0)))
-            # A pair that skips samples cannot touch before its next query, so its last distance counts as infinite.
-            before[pair] = distance if following == row + 1 else math.inf
-            due.setdefault(following, []).append(pair)
+        distances, movers = checker.distances_of(asked) - checker.distance_errors[asked], mover_of[asked]
+        last = max(row - 1, 0)
+        travelled = (travel[:, row] - travel[:, last])[movers]
+        nearer = np.maximum(sway[:, row], sway[:, last])[movers]
+        depths = nearer - 0.5 * (before[asked] + distances - travelled)
+        for number in np.flatnonzero(depths > 0.0).tolist():
+            pair, depth = int(asked[number]), min(float(depths[number]), float(most[asked[number]]))
+            mover_name, other = checker.mover_names[checker.pairs[pair][0]], checker.pairs[pair][1]
+            span = float(time[last]), float(time[row])
+            found = Push(mover_name, checker.obstacle_names[other], depth, *span)
+            limit = checker.contact_limits[other]
+            if limit is not None and limit.depth > 0.0:
+                moved = float(travelled[number] + nearer[number])
+                speed = min(moved / max(span[1] - span[0], _TINY_S), limit.rate * depth)
+                load = Load(limit, checker.joint_of(pair), depth / float(allowed[pair]), speed)
+                stress = 1e-6 * (load.stress + load.impact_stress)
+                found = replace(found, force_n=load.force, stress_mpa=stress, load=load)
+            yield found
+        following = np.full(len(asked), rows + 1)
+        for mover in np.unique(movers).tolist():
+            own = movers == mover
+            reached = travel[mover, row] + np.maximum(distances[own] - nearer[own], 0.0)
+            following[own] = np.searchsorted(travel[mover], reached, side="right") - 1
+        following = np.where(following >= rows, rows + 1, np.maximum(following, row + 1))
+        # A pair that skips samples cannot touch before its next query, so its last distance counts as infinite.
+        before[asked] = np.where(following == row + 1, distances, math.inf)
+        order = np.argsort(following, kind="stable")
+        starts = np.flatnonzero(np.diff(following[order], prepend=-1))
+        for place, part in zip(following[order][starts].tolist(), np.split(asked[order], starts[1:]), strict=True):
+            due.setdefault(place, []).append(part)
 
 
 #: Shortest time in which a speed is measured [s].

@@ -55,7 +55,7 @@ from hplan.certificate.clearance_curve import (
 from hplan.certificate.clearance_proof import Proof, prove_clearance
 from hplan.certificate.digests import Digests
 from hplan.certificate.goal_contact import FruitContact, contact_window
-from hplan.certificate.limb_loads import goal_displacement, load_violations
+from hplan.certificate.limb_loads import goal_displacement, goal_swing, load_violations
 from hplan.certificate.limit_use import LimitUse, limit_use
 from hplan.certificate.motion_bound import fastest, largest_deviations
 from hplan.certificate.moving_obstacles import checker_in_time, clear_until, end_violations, moving_base_contacts
@@ -141,6 +141,8 @@ class Certificate:
         uncovered_links: Names of the visual links that no collision shape covers: nothing is proved about them.
         goal_displacement_m: Upper bound of the displacement of a grasped fruit by the limbs that are pushed at that
             time [m]; None in scenes without `wood`, and without a fruit to grasp.
+        goal_swing_m: Upper bound of its swing about that place after contacts with its limb (`limb_loads.goal_swing`)
+            [m]; None as above.
     """
 
     verified: bool
@@ -159,6 +161,7 @@ class Certificate:
     pair_rules: tuple[PairRule, ...] = ()
     uncovered_links: tuple[str, ...] = ()
     goal_displacement_m: float | None = None
+    goal_swing_m: float | None = None
 
     @property
     def contact_s(self) -> tuple[float, float] | None:
@@ -479,11 +482,11 @@ def certify_among(
     missing = [proof.clearance_m for proof in proofs if not proof.is_certified]
     least = min(missing or (proof.clearance_m for proof in proofs))
     motion = ProvedMotion(robot, trajectory, tuple(proved), clearance)
-    displacement = None
+    displacement = swing = None
     if not violations and any(checker.has_limbs for _, checker in among):
         pushes = motion.pushes_by_segment
         violations += load_violations(robot, pushes)
-        displacement = _goal_displacement(motion, pushes)
+        displacement, swing = _goal_displacement(motion, pushes)
         allowed = min((limit.capture_range for _, limit in last.fruit_limits), default=math.inf)
         if displacement is not None and displacement > allowed:
             violations.append(
@@ -506,15 +509,16 @@ def certify_among(
         else clear_until(bezier[-1, -1], last, at_rest, clearance, clock[-1]),
         uncovered_links=robot.uncovered_links,
         goal_displacement_m=displacement,
+        goal_swing_m=swing,
     )
 
 
-def _goal_displacement(motion: ProvedMotion, pushes: Sequence[Push]) -> float | None:
-    """Upper bound of the displacement of grasped fruit by pushed limbs [m]; None without a fruit to grasp.
+def _goal_displacement(motion: ProvedMotion, pushes: Sequence[Push]) -> tuple[float | None, float | None]:
+    """Upper bounds of displacement and swing of grasped fruit by pushed limbs [m]; None without a fruit to grasp.
 
     A fruit is grasped where the tool rests nearest to it while it may be touched.
     """
-    found, trajectory, robot = list[float](), motion.trajectory, motion.robot
+    found, swings, trajectory, robot = list[float](), list[float](), motion.trajectory, motion.robot
     for part, checker, *_ in motion.stretches:
         rows = np.arange(part.start, min(part.stop + 1, trajectory.samples))
         speeds = np.abs(trajectory.velocity[rows]).max(axis=1)
@@ -523,7 +527,8 @@ def _goal_displacement(motion: ProvedMotion, pushes: Sequence[Push]) -> float | 
             apart = np.linalg.norm(robot.tool_positions(trajectory.position[resting]) - center, axis=1)
             at = trajectory.time[resting[ties.argmin(apart)]]
             found.append(goal_displacement(pushes, limit, float(at)))
-    return max(found, default=None)
+            swings.append(goal_swing(pushes, limit, float(at)))
+    return max(found, default=None), max(swings, default=None)
 
 
 def rest_violations(
@@ -600,6 +605,7 @@ def all_of(parts: Sequence[Certificate]) -> Certificate:
         goal_displacement_m=max(
             (p.goal_displacement_m for p in parts if p.goal_displacement_m is not None), default=None
         ),
+        goal_swing_m=max((p.goal_swing_m for p in parts if p.goal_swing_m is not None), default=None),
     )
 
 

@@ -117,7 +117,11 @@ def pushes_report(certificate: Certificate, scene: Scene) -> dict[str, Any]:
     found = certificate.pushes
     told: dict[str, Any] = {} if scene.yield_links is None else {"yield_links": list(scene.yield_links)}
     if scene.wood is not None:
-        told |= {"wood": scene.wood.model_dump(mode="json"), "goal_displacement_m": certificate.goal_displacement_m}
+        told |= {
+            "wood": scene.wood.model_dump(mode="json"),
+            "goal_displacement_m": certificate.goal_displacement_m,
+            "goal_swing_m": certificate.goal_swing_m,
+        }
     return told | {"pushes": None if found is None else [push_report(push) for push in found]}
 
 

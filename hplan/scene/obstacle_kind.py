@@ -156,9 +156,10 @@ class ContactLimit(NamedTuple):
             accelerate it beyond the speed rate d.
         most_force: Allowed force [N].
         most_stress: Allowed bending stress [Pa].
-        displacement: For a fruit, function of the limit of a part of a limb: largest displacement of the point that the
-            fruit hangs from per deflection of that part, and True if one of both limbs carries the other; None for
-            limbs.
+        displacement: For a fruit, function of the limit of a part of a limb or of another fruit: largest displacement
+            of the point that the fruit hangs from per deflection of the other, and True if one of two limbs carries the
+            other; None for limbs.
+        decay_rate: For a fruit the minimum rate at which it comes to rest after its limb was displaced [1/s].
         capture_range: Allowed displacement of a fruit that is grasped [m].
     """
 
@@ -175,6 +176,7 @@ class ContactLimit(NamedTuple):
     most_force: float
     most_stress: float
     displacement: Callable[[ContactLimit], tuple[float, bool]] | None
+    decay_rate: float
     capture_range: float
 
 

@@ -32,12 +32,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated, Any, Final, NamedTuple, Protocol, TypeGuard
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, readonly
 from hplan.base.checked import StrictModel, fault
 from hplan.geometry.cloud import Cloud
 from hplan.scene.limbs import CLAMP_RADIUS_M, Limbs
@@ -73,6 +74,9 @@ MOST_SWING: Final = 0.8
 #: Acceleration of gravity [m/s^2].
 GRAVITY: Final = 9.81
 
+#: Assumed minimum damping ratio of limbs, and of fruit on their stalks, after a push.
+DAMPING_RATIO: Final = 0.05
+
 #: Prevents divisions by zero where a limb is clamped.
 _TINY: Final = 1e-12
 
@@ -87,6 +91,9 @@ _TOGETHER: Final = 256
 
 #: Number of scenes whose limbs are kept.
 _KEPT: Final = 8
+
+#: Number of normals for which the displacement of a limb by a pushed fruit is examined.
+_SPHERE: Final = 400
 
 
 class HangingFruit(Protocol):
@@ -285,7 +292,7 @@ def _contact_solids(
     carried: dict[int, float] = {}
     for segment, mass in zip(hanging.segment.tolist(), hanging.mass.tolist(), strict=True):
         carried[roots[segment]] = carried.get(roots[segment], 0.0) + mass
-    found = dict[str, tuple[Solid, ...]]()
+    found, decays = dict[str, tuple[Solid, ...]](), _decay_rates(limbs, hanging, wood)
     for pushables, most_force in ((divide_limbs(limbs, wood), wood.contact_force), (hanging, wood.fruit_force)):
         table = permitted_contacts(pushables, limbs, hanging, stiff, wood)
         extension = table.extension[:, None] * pushables.stiff_axis
@@ -294,11 +301,15 @@ def _contact_solids(
             depth, segment = float(table.depth[row]), int(pushables.segment[row])
             low, high = pushables.along[row].tolist()
             swing = float(pushables.swing[row])
-            point = HangingPoint(limbs, segment, low, wood.stiffest) if swing > 0.0 else None
+            point, decay = None, 0.0
+            if swing > 0.0:
+                pendulum = _pendulum_compliance(pushables, row)
+                point = HangingPoint(limbs, segment, low, pendulum, (wood.softest, wood.stiffest))
+                decay = decays[row]
             limit = ContactLimit(
                 depth, float(table.force[row]), float(table.stress[row]), segment, roots[segment], (low, high),
                 *_impact(limbs, segment, swing, float(pushables.mass[row]), carried.get(roots[segment], 0.0), wood),
-                most_force, wood.wood_stress, point, wood.capture_range,
+                most_force, wood.wood_stress, point, decay, wood.capture_range,
             )  # fmt: skip
             solid = _TEMPLATE.copy_unchecked({
                 "name": name, "start": tuple(starts[row]), "end": tuple(ends[row]),
@@ -320,13 +331,15 @@ class HangingPoint(Record):
         limbs: All limbs.
         segment: Number of the segment.
         along: Distance from its start [m].
-        youngs_modulus: Young's modulus of the compliances [Pa].
+        swing: (3, 3) compliance of the pendulum [m/N].
+        youngs_modulus: Minimum and maximum of Young's modulus [Pa].
     """
 
     limbs: Limbs
     segment: int
     along: float
-    youngs_modulus: float
+    swing: FloatArray
+    youngs_modulus: tuple[float, float]
 
     def __call__(self, limit: ContactLimit) -> tuple[float, bool]:
         r"""Largest displacement per deflection of a part of a limb, and True if one of both carries the other.
@@ -335,6 +348,9 @@ class HangingPoint(Record):
         :math:`|C_{fx} n| / (n^\top C_{xx} n)`. The maximum over all n across the part is bounded between samples by
         the derivatives of both quadratic forms.
         """
+        if isinstance(limit.displacement, HangingPoint):
+            return self._ratio_by_fruit(limit, limit.displacement), False
+        modulus = self.youngs_modulus[1]
         limbs, numbers = self.limbs, (self.segment, limit.segment)
         path, other = limbs.path(self.segment), limbs.path(limit.segment)
         if not path or not other or path[-1] != other[-1]:
@@ -344,10 +360,27 @@ class HangingPoint(Record):
         largest = 0.0
         for along in limit.along:
             at = limbs.start[limit.segment] + along * axis
-            moved = limbs.mutual_compliance(numbers, np.stack([here, at]), self.youngs_modulus) @ across.T
-            own = limbs.compliance(limit.segment, along / float(limbs.length[limit.segment]), self.youngs_modulus)
+            moved = limbs.mutual_compliance(numbers, np.stack([here, at]), modulus) @ across.T
+            own = limbs.compliance(limit.segment, along / float(limbs.length[limit.segment]), modulus)
             largest = max(largest, _largest_ratio(moved.T @ moved, across @ own[:3, :3] @ across.T))
         return largest, limit.segment in path or self.segment in other
+
+    def _ratio_by_fruit(self, limit: ContactLimit, other: HangingPoint) -> float:
+        """Largest displacement per deflection of another fruit on the same limb.
+
+        A push of the depth d along n exerts d / (n C n) with the compliance C of limb and pendulum, and at most the
+        limit's force. The softest limb is displaced most, since the pendulum does not depend on it. Many normals are
+        examined.
+        """
+        limbs, numbers, soft = self.limbs, (self.segment, other.segment), self.youngs_modulus[0]
+        points = np.stack([
+            limbs.start[point.segment] + point.along * limbs.axis[point.segment] for point in (self, other)
+        ])  # fmt: skip
+        own = limbs.mutual_compliance((other.segment, other.segment), points[[1, 1]], soft) + other.swing
+        normals = _half_sphere(_SPHERE)
+        moved = np.linalg.norm(normals @ limbs.mutual_compliance(numbers, points, soft).T, axis=1)
+        per_depth = 1.0 / np.maximum(np.einsum("ni,ij,nj->n", normals, own, normals), _TINY)
+        return float((moved * np.minimum(per_depth, limit.force / max(limit.depth, _TINY))).max())
 
 
 #: Number of normals across a limb between which the displacement is bounded.
@@ -372,6 +405,40 @@ def _largest_ratio(above: FloatArray, below: FloatArray) -> float:
     if float(lowest.min()) <= 0.0:
         return math.inf
     return float((np.sqrt(tops + step * spreads[0]) / lowest).max())
+
+
+@cache
+def _half_sphere(count: int) -> FloatArray:
+    """(count, 3) evenly distributed directions with z > 0."""
+    rank = np.arange(count) + 0.5
+    height, turn = rank / count, math.pi * (1.0 + math.sqrt(5.0)) * rank
+    across = np.sqrt(1.0 - height**2)
+    return readonly(np.column_stack([across * np.cos(turn), across * np.sin(turn), height]))
+
+
+def _decay_rates(limbs: Limbs, hanging: Pushables, wood: Wood) -> list[float]:
+    """(k,) minimum rates at which swinging fruit come to rest, limbs included [1/s].
+
+    The first frequency is at least that of Dunkerley's formula: the squared periods of all fruit on a limb, each alone
+    on the softest wood, and of the pendulum add up.
+    """
+    found, roots = list[float](), limbs.roots()
+    compliance = limbs.compliance_along(hanging.segment, hanging.along[:, 0])[0] / wood.softest
+    squared = hanging.mass * np.linalg.eigvalsh(compliance)[:, -1] if len(hanging.names) else np.zeros(0)
+    for row, segment in enumerate(hanging.segment.tolist()):
+        root = int(roots[segment])
+        limb = float(squared[roots[hanging.segment] == root].sum()) if root >= 0 else 0.0
+        pendulum = float(hanging.depth[row]) / MOST_SWING / GRAVITY
+        found.append(DAMPING_RATIO / math.sqrt(limb + pendulum))
+    return found
+
+
+def _pendulum_compliance(hanging: Pushables, row: int) -> FloatArray:
+    """(3, 3) compliance of a fruit on its stalk [m/N]; the secant one at the maximum swing."""
+    stalk, arm = hanging.stiff_axis[row], float(hanging.depth[row]) / MOST_SWING
+    stiffness = GRAVITY * float(hanging.mass[row]) / (arm * math.sqrt(1.0 - MOST_SWING**2))
+    found: FloatArray = (np.eye(3) - np.outer(stalk, stalk)) / stiffness
+    return found
 
 
 def _impact(

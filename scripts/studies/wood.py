@@ -511,7 +511,8 @@ def _pick(config: StudyConfig, problem: PickProblem) -> Row:
         force_ratio = max(force_ratio, one.force_n / forces[key] if key in forces else math.inf)
         stress_ratio = max(stress_ratio, one.stress_mpa / stresses[key] if stresses.get(key) else 0.0)
     grasp_s = result.picked_fruit[problem.fruit]
-    moved, bound = trees.displacement_at(problem.fruit, grasp_s), result.certificate.goal_displacement_m
+    moved, held = trees.displacement_at(problem.fruit, grasp_s), result.certificate.goal_displacement_m
+    bound = None if held is None else held + (result.certificate.goal_swing_m or 0.0)
     return row | {
         "pushes": len(pushes), "contacts": len(trees.contacts), "rigid_contacts": len(executed.contacts),
         "force_n": max((one.force_n for one in trees.contacts), default=0.0),
@@ -519,6 +520,7 @@ def _pick(config: StudyConfig, problem: PickProblem) -> Row:
         "force_ratio": force_ratio if trees.contacts else None,
         "stress_ratio": stress_ratio if trees.contacts else None,
         "goal_mm": None if moved is None else 1e3 * moved, "goal_bound_mm": None if bound is None else 1e3 * bound,
+        "goal_held_mm": None if held is None else 1e3 * held,
         "broken": len(trees.broken), "knocked_off": len(trees.knocked_off),
         "within_limits": trees.ok and not executed.contacts,
         "fault": bool(
@@ -534,7 +536,16 @@ WOOD_PICKS = Study(
     _pick,
     (
         *("certified", "ms", "duration_s", "pushes", "contacts", "rigid_contacts", "within_limits", "force_n"),
-        *("force_ratio", "stress_mpa", "stress_ratio", "goal_mm", "goal_bound_mm", "broken", "knocked_off"),
+        *(
+            "force_ratio",
+            "stress_mpa",
+            "stress_ratio",
+            "goal_mm",
+            "goal_held_mm",
+            "goal_bound_mm",
+            "broken",
+            "knocked_off",
+        ),
     ),
     problems=_picks,
     by="tree",

@@ -14,6 +14,7 @@ import hplan
 from hplan.certificate.limb_loads import (
     gentle_speeds,
     goal_displacement,
+    goal_swing,
     load_violations,
     shared_limb_violations,
 )
@@ -30,7 +31,7 @@ from hplan.scene.wood import limbs_of
 #: Fruits whose quickest motion pushes limbs.
 PUSHING = ("fruit 03", "fruit 10", "fruit 24")
 
-LIMIT = ContactLimit(0.02, 6.0, 1e7, 3, 2, (0.1, 0.2), 4.0, 6e6, 0.0, 500.0, 10.0, 3e7, None, 0.02)
+LIMIT = ContactLimit(0.02, 6.0, 1e7, 3, 2, (0.1, 0.2), 4.0, 6e6, 0.0, 500.0, 10.0, 3e7, None, 0.0, 0.02)
 
 
 @pytest.fixture(scope="module")
@@ -194,3 +195,31 @@ def test_the_goal_moves_with_its_limb() -> None:
     # The fruit hangs a little before the tip, which is displaced by at most the depth and the part's own share.
     assert 0.6 * tip.depth < moved < 1.3 * tip.depth
     assert goal_displacement([push], apple, 2.0) == 0.0
+    # It swings as far beyond, and farther when the limb is released; then it comes to rest.
+    assert goal_swing([push], apple, 0.9) == 0.0
+    assert goal_swing([push], apple, 1.05) == pytest.approx(moved)
+    later = [goal_swing([push], apple, time_s) for time_s in (1.2, 2.0, 20.0)]
+    assert 2.0 * moved > later[0] > later[1] > 0.0
+    assert later[2] < 1e-3
+
+
+def test_the_goal_moves_with_other_fruit_on_its_limb() -> None:
+    trunk = Capsule(name="trunk", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, 2.0), radius=0.03)
+    twig = Capsule(name="twig", start=(0.0, 0.0, 1.0), end=(0.4, 0.0, 1.0), radius=0.004, parent="trunk")
+    apples = tuple(
+        hplan.scene.Fruit(name=name, center=(x, 0.0, 0.95), radius=0.04) for name, x in (("far", 0.35), ("near", 0.25))
+    )
+    start = hplan.scene.Start(joints_deg=(0.0, 90.0, 90.0, 90.0))
+    goal = hplan.scene.Goal(fruit="far")
+    scene = Scene(name="twig", start=start, goal=goal, obstacles=(trunk, twig), fruits=apples, wood=Wood())
+    limits = {solid.name: solid.contact_limit for solid in scene.listed_solids if solid.meets == "pushing"}
+    far, near = limits["far"], limits["near"]
+    assert far is not None
+    assert near is not None
+    push = Push("tool0", "near", near.depth, 1.0, 1.1, 1.0, 1.0, Load(near, 4, 1.0, 0.0))
+    moved = goal_displacement([push], far, 1.05)
+    # Pulled along its stalk, the twig follows the fruit; farther out it moves more.
+    assert near.depth < moved < 3.0 * near.depth
+    # Half as deep, it moves half as far.
+    half = replace(push, depth_m=0.5 * near.depth, load=Load(near, 4, 0.5, 0.0))
+    assert goal_displacement([half], far, 1.05) == pytest.approx(0.5 * moved)

@@ -49,6 +49,7 @@ STUDIES = {
     "wood_static": "wood:WOOD_STATIC",
     "wood_moving": "wood:WOOD_MOVING",
     "wood_picks": "wood:WOOD_PICKS",
+    "wood_trial": "wood_trial:WOOD_TRIAL",
 }
 
 #: Other planners that can solve the problems of a study.

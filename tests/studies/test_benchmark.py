@@ -173,3 +173,16 @@ def test_streams_by_the_rules_of_libfranka(tmp_path: Path) -> None:
     rows = rows_of("franka", tmp_path, "--effort", "quick")
     assert {row["kind"] for row in rows} >= {"motion"}
     assert all(row["accepted"] for row in rows)
+
+
+def test_a_trial_in_the_wind(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="the extra `execution` is not installed")
+    rows = ["kind,x1,y1,z1,x2,y2,z2,radius", "trunk,0,0,0,0,0,3,0.03"]
+    rows += [f"branch,0,0,{0.3 * i},0.5,0,{0.3 * i},0.005" for i in range(1, 8)]
+    rows += ["fruit,0.45,0,1.45,0.45,0,1.45,0.04"]
+    (tmp_path / "t1.csv").write_text("\n".join(rows) + "\n")
+    (trial,) = rows_of("wood_trial", tmp_path, "--trees", str(tmp_path), "--values", "planners=0", "distance=1.6")
+    assert trial["planned"] == trial["picked"] == 1
+    assert trial["broken"] == trial["knocked_off"] == trial["rigid_contacts"] == 0
+    assert not trial["diverged"]
+    assert trial["tracking_mrad"] < 5.0

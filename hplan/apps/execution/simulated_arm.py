@@ -342,13 +342,21 @@ class SimulatedArm:
         Raises:
             InputError: The simulated scene has no obstacle or fruit of that name.
         """
+        self.ignore_contacts(names)
+        if self.trees is not None:
+            self.trees.release(names)
+
+    def ignore_contacts(self, names: Sequence[str]) -> None:
+        """Disable contacts with obstacles or fruits, for example with a fruit to be picked; it still hangs.
+
+        Raises:
+            InputError: The simulated scene has no obstacle or fruit of that name.
+        """
         for name in names:
             geoms = [geom for geom, obstacle in self._obstacle_of.items() if obstacle == name]
             if not geoms:
                 raise InputError(f"the simulated scene has no obstacle {name!r}", name=name)
             self._model.geom_conaffinity[geoms] = 0
-        if self.trees is not None:
-            self.trees.release(names)
 
     def take_away(self, names: Sequence[str]) -> None:
         """Remove obstacles or fruits: contacts and rays ignore them.

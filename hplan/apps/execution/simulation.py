@@ -261,7 +261,7 @@ def execute(
     if trees is not None:
         instance("trees", trees, BendingTrees)
         scene = scene if scene.wood is not None else with_limbs(scene)
-    near = None if trees is None else _find_near(robot, scene, reference)
+    near = None if trees is None else find_near(robot, scene, reference.position)
     arm = SimulatedArm(robot, scene, plant, trees=trees, bending=near)
     return _track_reference(arm, reference, scene, start, reference.position[-1] if goal is None else goal)
 
@@ -378,15 +378,15 @@ def _track_reference(
     )
 
 
-def _find_near(robot: Robot, scene: Scene, reference: _Reference) -> set[str]:
-    """Names of the obstacles and fruit near the arm along a motion."""
-    steps = np.abs(np.diff(reference.position, axis=0)).max(axis=1, initial=0.0)
+def find_near(robot: Robot, scene: Scene, positions: FloatArray) -> set[str]:
+    """Names of the obstacles and fruit near the arm along (n, dof) configurations."""
+    steps = np.abs(np.diff(positions, axis=0)).max(axis=1, initial=0.0)
     stations = np.append(0.0, np.cumsum(steps))
     at = np.linspace(0.0, stations[-1], 2 + int(stations[-1] / _SEARCH_STEP))
     rows = np.unique(np.searchsorted(stations, at).clip(0, len(stations) - 1))
     checker = CoalScene(robot, scene.copy_unchecked({"wood": None}).solids_with_goal)
     solids = slice(0, checker.own_first)
-    gaps = np.min([checker.distances(q)[:, solids].min(axis=0) for q in reference.position[rows]], axis=0)
+    gaps = np.min([checker.distances(q)[:, solids].min(axis=0) for q in positions[rows]], axis=0)
     return {name for name, gap in zip(checker.obstacle_names[solids], gaps.tolist(), strict=True) if gap < _NEAR_M}
 
 

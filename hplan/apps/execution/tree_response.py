@@ -316,6 +316,16 @@ class TreeMonitor:
             found[row] = place + elapsed * velocity - [0.0, 0.0, 0.5 * GRAVITY * elapsed**2]
         return found
 
+    def place_of(self, fruit: str) -> FloatArray | None:
+        """(3,) centre of a hung fruit [m]; None for other fruit."""
+        row = self._fruit_rows.get(fruit)
+        found: FloatArray | None = None if row is None else self.fruit_places[row]
+        return found
+
+    def is_released(self, fruit: str) -> bool:
+        """True if a fruit was knocked off or taken off its stalk."""
+        return fruit in self._released
+
     def fruit_displacement_m(self) -> dict[str, float]:
         """Displacement of each fruit that still hangs, by name [m]."""
         rest = np.array([fruit.center for fruit in self.bodies.fruits]).reshape(-1, 3)

@@ -1,0 +1,298 @@
+"""A field trial in simulation: an arm picks from trees that bend in the wind, with errors.
+
+The planner sees each tree from a base that is off by `BASE_M` and `BASE_DEG`, and fruit with camera noise. It plans all
+motions before the first one is executed on an arm whose masses differ from the model's by `MASS_ERROR`. Limbs bend and
+sway in the wind, and fruit hang from stalks that break.
+
+Each of three planners picks up to `FRUITS` of the fruit that it finds reachable. hplan's tours know how wood bends.
+They are certified for what the planner sees and for the tracking error; `--values sigmas=3` also covers the errors of
+base and camera, which leaves almost no fruit within reach. The recipe of MoveIt is RRTConnect, simplified and timed by
+toppra, with a padding of `PADDING_M`: once with all wood rigid, once without the wood that is thinner than the clamp
+radius. It picks the nearest fruit next and stops at stand-offs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from studies.harness import Row, Study, StudyConfig, evenly_chosen
+from studies.measure import timed
+from studies.peers import ompl_path, seed_ompl, toppra_motion, world_of
+
+from hplan.apps.execution.bending_wood import BendingTrees
+from hplan.apps.execution.simulated_arm import CONTROL_PERIOD, Plant, SimulatedArm
+from hplan.apps.execution.simulation import find_near
+from hplan.apps.execution.wind import Wind
+from hplan.base.arrays import FloatArray
+from hplan.errors import HplanError
+from hplan.planning.grasps import Grasp
+from hplan.planning.options import PlanOptions
+from hplan.planning.reachable import FruitReach, reachable
+from hplan.robot.model import Robot
+from hplan.scene.model import Goal, Scene, Start, with_limbs
+from hplan.scene.obstacles import Capsule
+from hplan.scene.orchard import MeasuredOptions, measured_orchard
+from hplan.scene.wood import Wood
+from hplan.tour.tour import TourResult, plan_tour
+
+#: Planners that are compared.
+PLANNERS = ("hplan", "recipe, all rigid", "recipe, thin wood left out")
+
+#: Distance of the trunk [m], and maximum number of fruits to pick; --values distance and fruits override them.
+DISTANCE_M, FRUITS = 1.5, 12
+
+#: Errors of the base's position [m] and heading [deg], standard deviation of a fruit's position by the camera [m],
+#: relative error of the masses, and mean speed of the wind [m/s].
+BASE_M, BASE_DEG, CAMERA_M, MASS_ERROR, WIND_M_S = 0.005, 0.3, 0.003, 0.2, 3.0
+
+#: Standard deviations that the scene states: of wood, and of fruit [m]. Three of them cover the error of the base.
+WOOD_SIGMA_M, FRUIT_SIGMA_M = 0.004, 0.005
+
+#: Tracking error that motions allow for [rad], and the controller's bandwidth [rad/s].
+TRACKING_RAD, BANDWIDTH = 0.0005, 200.0
+
+#: Maximum distance of a fruit from the tool at which the gripper takes it [m], and the time that it takes [s].
+GRIPPER_M, GRIP_S = 0.03, 0.5
+
+#: Clearance of the recipe [m], and the CPU time to find each path [s].
+PADDING_M, PATIENCE_S = 0.01, 3.0
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A tree to pick from by a planner: the name, the tree's file, its number and the planner."""
+
+    name: str
+    tree: Path
+    number: int
+    planner: str
+
+
+@dataclass(eq=False)
+class _Work:
+    """Motion of an arm that picks fruit.
+
+    Attributes:
+        clock: Times of the reference [s].
+        position: Its configurations, the start first.
+        grasps: Fruits and the times when they are grasped [s].
+        ms: CPU time of planning [ms].
+        certified: True if the motion is certified.
+    """
+
+    clock: FloatArray
+    position: FloatArray
+    grasps: list[tuple[str, float]] = field(default_factory=list)
+    ms: float = 0.0
+    certified: bool = False
+
+    @property
+    def duration(self) -> float:
+        """Duration of the motion [s]."""
+        return float(self.clock[-1])
+
+    def append(self, position: FloatArray) -> None:
+        """Append configurations at the controller's period, without the first one."""
+        more = self.duration + CONTROL_PERIOD * np.arange(1, len(position))
+        self.clock, self.position = np.append(self.clock, more), np.vstack([self.position, position[1:]])
+
+
+def _problems(config: StudyConfig) -> Iterable[Trial]:
+    files = sorted((config.trees or Path()).glob("*.csv"))[config.first :][: config.count]
+    planners = [PLANNERS[int(number)] for number in config.values.get("planners", range(len(PLANNERS)))]
+    return [Trial(f"{file.stem}: {name}", file, row, name) for row, file in enumerate(files) for name in planners]
+
+
+def true_scene(config: StudyConfig, file: Path) -> Scene:
+    """A measured tree before the arm, with its limbs."""
+    distance = config.values.get("distance", (DISTANCE_M,))[0]
+    scene = with_limbs(measured_orchard([file], MeasuredOptions(distance=distance, yaw_deg=180.0)))
+    joints = tuple(scene.start.configuration.tolist())
+    return scene.with_values(goal=Goal(joints_rad=joints))
+
+
+def seen_scene(scene: Scene, random: np.random.Generator) -> Scene:
+    """The scene as the planner sees it: from a base that is off, with noise in the positions of fruit."""
+    heading = float(random.uniform(0.0, 2.0 * math.pi))
+    off = BASE_M * np.array([math.cos(heading), math.sin(heading), 0.0])
+    seen = scene.shift(off, BASE_DEG * float(random.choice((-1.0, 1.0))))
+    fruits = tuple(
+        fruit.copy_unchecked({
+            "center": tuple((np.array(fruit.center) + random.normal(scale=CAMERA_M, size=3)).tolist()),
+            "sigma": FRUIT_SIGMA_M,
+        })
+        for fruit in seen.fruits
+    )  # fmt: skip
+    obstacles = tuple(piece.copy_unchecked({"sigma": WOOD_SIGMA_M}) for piece in seen.obstacles)
+    return seen.with_values(obstacles=obstacles, fruits=fruits)
+
+
+def _plan_tour(config: StudyConfig, robot: Robot, seen: Scene) -> _Work:
+    """A certified tour."""
+    sigmas = config.values.get("sigmas", (0.0,))[0]
+    options = PlanOptions(effort=config.effort, tracking_error=TRACKING_RAD, sigmas=sigmas)
+
+    def tour_or_none() -> TourResult | None:
+        with suppress(HplanError):
+            names = _chosen(config, reachable(robot, seen, options))
+            return plan_tour(robot, seen, options, fruits=names) if names else None
+        return None
+
+    tour, ms = timed(tour_or_none)
+    if tour is None:
+        return _Work(np.zeros(1), seen.start.configuration[None], ms=ms)
+    clock = np.arange(0.0, tour.duration + CONTROL_PERIOD, CONTROL_PERIOD)
+    grasps = sorted(tour.picked.items(), key=lambda item: item[1])
+    return _Work(clock, tour.trajectory.positions(np.minimum(clock, tour.duration)), grasps, ms,
+                 tour.certificate.verified)  # fmt: skip
+
+
+def _chosen(config: StudyConfig, found: Mapping[str, FruitReach]) -> list[str]:
+    """Names of fruit that can be picked, evenly chosen from all."""
+    names = [name for name, fruit in found.items() if fruit.can_be_picked]
+    return evenly_chosen(names, int(config.values.get("fruits", (FRUITS,))[0]), lambda _: "")
+
+
+def _follow_recipe(config: StudyConfig, robot: Robot, seen: Scene, *, thin: bool) -> _Work:
+    """Motions of the recipe; fruits without one are left."""
+    clamp = (seen.wood or Wood()).clamp_radius
+    kept = tuple(
+        piece.copy_unchecked({"sigma": 0.0} | ({"parent": None} if isinstance(piece, Capsule) else {}))
+        for piece in seen.obstacles
+        if thin or not isinstance(piece, Capsule) or piece.radius >= clamp
+    )
+    fruits = tuple(fruit.copy_unchecked({"sigma": 0.0}) for fruit in seen.fruits)
+    scene = seen.with_values(obstacles=kept, fruits=fruits, wood=None, clearance=PADDING_M)
+    work = _Work(np.zeros(1), seen.start.configuration[None])
+    _, work.ms = timed(lambda: _visit(config, robot, scene, work))
+    return work
+
+
+def _visit(config: StudyConfig, robot: Robot, scene: Scene, work: _Work) -> None:
+    """Append the motions to fruit that can be reached, the nearest in the joints' time next."""
+    try:
+        found = reachable(robot, scene, PlanOptions(sigmas=0.0))
+    except HplanError:
+        return
+    grasps = {name: grasp for name in _chosen(config, found) if (grasp := found[name].grasp) is not None}
+    while grasps:
+        here = work.position[-1]
+        away = {name: float((np.abs(g.standoff - here) / robot.velocity_limit).max()) for name, g in grasps.items()}
+        name = min(away, key=lambda one: away[one])
+        grasp = grasps.pop(name)
+        motions = _recipe_motions(robot, scene, here, grasp)
+        if motions is None:
+            continue
+        for position in motions[:2]:
+            work.append(position)
+        work.grasps.append((name, work.duration))
+        work.append(motions[2])
+        scene = scene.with_values(fruits=tuple(fruit for fruit in scene.fruits if fruit.name != name))
+
+
+def _recipe_motions(robot: Robot, scene: Scene, here: FloatArray, grasp: Grasp) -> list[FloatArray] | None:
+    """Configurations of the transit, the straight approach and the way back, at the controller's period."""
+    scene = scene.with_values(start=Start(joints_rad=tuple(here.tolist())))
+    path = ompl_path(world_of(robot, scene), scene, grasp.standoff, seconds=PATIENCE_S)
+    if path is None:
+        return None
+    found = list[FloatArray]()
+    line = grasp.path(robot)
+    ways = [path] if line is None else [path, np.array(line.evaluate(np.linspace(0.0, line.end, 9)))]
+    for way in ways:
+        motion = toppra_motion(robot, way)
+        if motion is None:
+            return None
+        clock = np.arange(0.0, motion.duration + CONTROL_PERIOD, CONTROL_PERIOD)
+        found.append(motion.positions(clock))
+    found += [found[-1][-1:]] * (2 - len(found))
+    return [*found, found[1][::-1]]
+
+
+def _try(config: StudyConfig, trial: Trial) -> Row:
+    """Plan and execute; forces and damage beside the fruit picked."""
+    robot, random = config.arm("orchard_harvester"), np.random.default_rng((config.seed, trial.number))
+    scene = true_scene(config, trial.tree)
+    seen = seen_scene(scene, random)
+    if trial.planner == PLANNERS[0]:
+        work = _plan_tour(config, robot, seen)
+    else:
+        seed_ompl(config.seed + 1)
+        work = _follow_recipe(config, robot, seen, thin=trial.planner == PLANNERS[1])
+    row: Row = {"name": trial.name, "planner": trial.planner, "tree": trial.tree.stem, "ms": work.ms,
+                "planned": len(work.grasps), "duration_s": work.duration}  # fmt: skip
+    if not work.grasps:
+        return row | {"picked": 0, "fruit_per_hour": 0.0}
+    plant = Plant(mass_factor=1.0 + MASS_ERROR * float(random.choice((-1.0, 1.0))), bandwidth=BANDWIDTH)
+    wind = Wind(speed_m_s=config.values.get("wind", (WIND_M_S,))[0], seed=config.seed + trial.number)
+    row |= _execute(robot, scene, work, plant, BendingTrees(wind=wind))
+    is_harmful = row["broken"] or row["knocked_off"] or row["rigid_contacts"]
+    return row | {"fault": work.certified and bool(is_harmful)}
+
+
+def _execute(robot: Robot, scene: Scene, work: _Work, plant: Plant, trees: BendingTrees) -> Row:
+    """Execute a motion among trees that bend, and take the fruit that the gripper reaches."""
+    arm = SimulatedArm(robot, scene, plant, trees=trees, bending=find_near(robot, scene, work.position[::20]))
+    monitor, center = arm.trees, {fruit.name: np.array(fruit.center) for fruit in scene.fruits}
+    assert monitor is not None
+    velocity = np.gradient(work.position, CONTROL_PERIOD, axis=0)
+    acceleration = np.gradient(velocity, CONTROL_PERIOD, axis=0)
+    rows = {round(at / CONTROL_PERIOD): name for name, at in work.grasps}
+    misses, picked, target, off = list[float](), list[str](), iter(work.grasps), 0.0
+    arm.place(work.position[0], velocity[0])
+    arm.ignore_contacts([next(target)[0]])
+    for row, state in enumerate(zip(work.position, velocity, acceleration, strict=True)):
+        arm.follow(*state)
+        if not arm.is_finite:
+            break
+        off = max(off, float(np.abs(arm.position - state[0]).max()))
+        if row in rows:
+            name = rows[row]
+            place = monitor.place_of(name)
+            place = center[name] if place is None else place
+            miss = float(np.linalg.norm(robot.tool_positions(arm.position) - place))
+            if not monitor.is_released(name):
+                misses.append(miss)
+                if miss <= GRIPPER_M:
+                    picked.append(name)
+                    arm.take_away([name])
+            following = next(target, None)
+            if following is not None:
+                arm.ignore_contacts([following[0]])
+    response, limits = monitor.response({}), scene.wood or Wood()
+    limbs = [one.force_n for one in response.contacts if not one.is_fruit]
+    fruit = [one.force_n for one in response.contacts if one.is_fruit]
+    touched = {one.limb for one in response.contacts}
+    return {
+        "picked": len(picked), "fruit_per_hour": 3600.0 * len(picked) / (work.duration + GRIP_S * len(work.grasps)),
+        "miss_mm": 1e3 * float(np.median(misses)) if misses else None, "most_miss_mm": 1e3 * max(misses, default=0.0),
+        "limb_force_n": max(limbs, default=0.0), "fruit_force_n": max(fruit, default=0.0),
+        "stress_mpa": 1e-6 * float(monitor.max_stress_pa.max(initial=0.0)),
+        "over_limits": sum(not one.is_within(limits) for one in response.contacts),
+        "broken": len(response.broken), "knocked_off": len(response.knocked_off),
+        "knocked_off_untouched": sum(one.name not in touched for one in response.knocked_off),
+        "rigid_contacts": len(arm.contacts), "tracking_mrad": 1e3 * off, "diverged": not arm.is_finite,
+    }  # fmt: skip
+
+
+WOOD_TRIAL = Study(
+    "wood_trial",
+    "field trial: picking from trees that bend in the wind, with errors (--trees); count of trees",
+    _try,
+    (
+        *("planned", "picked", "duration_s", "fruit_per_hour", "miss_mm", "most_miss_mm", "limb_force_n"),
+        *("fruit_force_n", "stress_mpa", "over_limits", "broken", "knocked_off", "rigid_contacts", "tracking_mrad"),
+        "ms",
+    ),
+    _problems,
+    by="planner",
+    count=(None, 1),
+    needs=("trees",),
+    peers=(),
+    warm=0,
+)

@@ -13,8 +13,7 @@ the limb by a displacement of at most :math:`\delta - \epsilon |n \cdot a|` alon
 
 So a twig, which is stiff along its axis, is not met head-on. For :math:`\epsilon \le \delta` what is clear of the limb
 is clear of the smaller part, too: limits never forbid a motion that touches nothing. Within a part, the tangent of
-:math:`C` bounds :math:`C`
-from below, and this eigenvalue is concave in it: two ends decide.
+:math:`C` bounds it from below, and this eigenvalue is concave in it: the two ends decide.
 
 **Stress.** A force f at x bends the limb at p by at most :math:`f |x - p|`, and the stress in a round section of radius
 r is :math:`4 M / (\pi r^3)`; the limit of stress is one of force.
@@ -138,7 +137,7 @@ class Wood(StrictModel):
 
     Young's modulus is an interval: the stiffer end bounds forces. Living branches have 0.7 to 4.6 GPa (Cannell and
     Morgan 1987), green timber up to 7.5 GPa; green stems break at 35 to 50 MPa, branches at 38 to 70 MPa, and apples
-    detach at 20 to 25 N (Hussain 2022). What is certified holds for wood within these values.
+    detach at 20 to 25 N (Hussain 2022). Certificates hold for wood within these values.
 
     Attributes:
         contact_force: Maximum force of a link on a limb [N].
@@ -183,11 +182,6 @@ class Wood(StrictModel):
     def stiffest(self) -> float:
         """Maximum of Young's modulus [Pa]."""
         return 1e9 * self.youngs_modulus_gpa[1]
-
-    @property
-    def softest(self) -> float:
-        """Minimum of Young's modulus [Pa]."""
-        return 1e9 * self.youngs_modulus_gpa[0]
 
     def scale(self, share: float) -> Wood:
         """The same wood with a fraction of the limits of force and stress."""

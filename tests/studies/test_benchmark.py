@@ -150,6 +150,7 @@ def test_trees_that_bend(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_motions_of_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("ompl")
     from studies import others
 
     monkeypatch.setattr(others, "ROBOTS", ("ur5",))
@@ -157,7 +158,11 @@ def test_motions_of_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert [row["planner"] for row in rows] == [f"{name}, ur5" for name in others.PLANNERS]
     assert any(row["solved"] for row in rows)
     assert not any(row["fault"] for row in rows if row["solved"])
-    # Motions that go straight, through what there is: both judges see the contacts.
+
+
+def test_both_judges_see_the_contacts_of_straight_motions(monkeypatch: pytest.MonkeyPatch) -> None:
+    from studies import others
+
     monkeypatch.setattr(others, "_motion", lambda robot, scene, *_: straight_motion(scene))
     straight = [others._row(harness.StudyConfig(), ("ur5", number, "straight")) for number in range(3)]
     assert any(row["collides"] for row in straight)

@@ -187,6 +187,11 @@ class Wood(StrictModel):
         """Maximum of Young's modulus [Pa]."""
         return 1e9 * self.youngs_modulus_gpa[1]
 
+    @property
+    def softest(self) -> float:
+        """Minimum of Young's modulus [Pa]."""
+        return 1e9 * self.youngs_modulus_gpa[0]
+
     def scale(self, share: float) -> Wood:
         """The same wood with a fraction of the limits of force and stress."""
         limits = ("contact_force", "wood_stress_mpa", "fruit_force")

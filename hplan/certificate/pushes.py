@@ -52,7 +52,7 @@ class Load(NamedTuple):
     Attributes:
         limit: What the deepest permitted contact does.
         joint: Joint that carries the link.
-        share: Upper bound of the depth as a fraction of the permitted one.
+        share: Upper bound of the depth as a fraction of the limit's.
         speed: Upper bound of the speed of the link [m/s], or of that to which a contact of this depth accelerates the
             limb or fruit, if that is less.
     """
@@ -135,7 +135,7 @@ def pushes_along(
             if limit is not None and limit.depth > 0.0:
                 moved = float(travelled[number] + nearer[number])
                 speed = min(moved / max(span[1] - span[0], _TINY_S), limit.rate * depth)
-                load = Load(limit, checker.joint_of(pair), depth / float(allowed[pair]), speed)
+                load = Load(limit, checker.joint_of(pair), depth / limit.depth, speed)
                 stress = 1e-6 * (load.stress + load.impact_stress)
                 found = replace(found, force_n=load.force, stress_mpa=stress, load=load)
             yield found

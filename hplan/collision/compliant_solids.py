@@ -25,6 +25,9 @@ from hplan.geometry.cloud import Cloud
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
 
+#: Maximum depth in a limb as a share of the radii of the limb and of the thinnest body that may push it.
+LIMB_SHARE = 0.8
+
 #: Default maximum deflection of the obstacles that a fruit hangs from, while that fruit may be touched [m].
 HANGING_M = 0.02
 
@@ -197,6 +200,8 @@ def maximum_deflection(
     # other bodies as a whole, keep at least 1e-6 m from the points of a compliant cloud.
     in_cloud = (thin if all(body.kind == "capsule" for body in pushing) else 0.0) - 1e-6
     most = np.array([solid.rounding + (in_cloud if isinstance(solid, Cloud) else thin) for solid in solids])
+    # A limb that is nearly crossed may stay on the far side, where the shortest way out does not bound its deflection.
+    most = np.where([solid.is_limb for solid in solids], LIMB_SHARE * most, most)
     found: FloatArray = np.maximum(0.0, np.minimum(depth, most))
     return found
 

@@ -63,12 +63,8 @@ def _within_limits(problem: Problem, share: float, solve: Solver) -> Plan | None
     wood = problem.scene.wood
     if wood is None:
         return None
-    scene = problem.scene.with_values(wood=wood.scale(max(share, _NOTHING)))
+    scene = problem.scene.with_values(wood=wood.scale(share) if share > 0.0 else wood.as_rigid)
     world = World.of_scene(problem.robot, scene, problem.options)
     with suppress(HplanError):
         return best_of(solve(problem.in_world(world)))
     return None
-
-
-#: Fraction of the limits within which no limb yields.
-_NOTHING = 1e-9

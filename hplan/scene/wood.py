@@ -12,12 +12,14 @@ the limb by a displacement of at most :math:`\delta - \epsilon |n \cdot a|` alon
 .. math:: \delta \le \lambda_{min}(F C + \epsilon\, a a^\top).
 
 So a twig, which is stiff along its axis, is not met head-on. For :math:`\epsilon \le \delta` what is clear of the limb
-is clear of the smaller part, too: limits never forbid a motion that touches nothing. Within a part, the tangent of
+is clear of the smaller part, too, unless thin links may not use the whole depth; `hplan.certify` then tries rigid
+limbs, so that limits forbid no motion that touches nothing. Within a part, the tangent of
 :math:`C` bounds it from below, and this eigenvalue is concave in it: the two ends decide.
 
 The depth is that of the shortest way out. A limb that a deeper body takes along on its other side is bent more: in 1 of
 4,455 simulated pushes (`scripts/benchmark.py wood_moving`) the stress was 1.3 times its bound, at any speed, where the
-axes of body and limb came within 1 % of both radii. This is not covered.
+axes of body and limb came within 1 % of both radii. So links keep a fifth of both radii
+(`hplan.collision.compliant_solids.LIMB_SHARE`).
 
 **Stress.** A force f at x bends the limb at p by at most :math:`f |x - p|`, and the stress in a round section of radius
 r is :math:`4 M / (\pi r^3)`; the limit of stress is one of force.
@@ -196,6 +198,15 @@ class Wood(StrictModel):
         """The same wood with a fraction of the limits of force and stress."""
         limits = ("contact_force", "wood_stress_mpa", "fruit_force")
         return self.with_values(**{key: share * getattr(self, key) for key in limits})
+
+    @property
+    def as_rigid(self) -> Wood:
+        """The same wood with limits within which no limb yields."""
+        return self.scale(_NOTHING)
+
+
+#: Fraction of the limits within which no limb yields.
+_NOTHING: Final = 1e-9
 
 
 class Pushables(NamedTuple):

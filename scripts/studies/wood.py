@@ -26,6 +26,7 @@ from hplan.apps.execution.simulation import execute
 from hplan.apps.execution.tree_response import TreeMonitor
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.certificate.pushes import Load
+from hplan.collision.compliant_solids import LIMB_SHARE
 from hplan.errors import InputError
 from hplan.planning.options import PlanOptions
 from hplan.planning.reachable import reachable
@@ -342,7 +343,8 @@ def _draw(random: np.random.Generator, tree: _Scene) -> tuple[_Body, list[Load]]
         body = _passing(half, radius, deepest, _across(random, normal), speed)
     near = np.linalg.norm(0.5 * (tree.start + tree.end) - deepest, axis=1) < tree.spans + length + radius + 0.15
     rows = np.flatnonzero(near)
-    permitted = np.where(tree.is_limb[near], tree.depth[near], 0.0)
+    most = np.minimum(tree.depth[near], LIMB_SHARE * (radius + tree.radius[near]))
+    permitted = np.where(tree.is_limb[near], most, 0.0)
     if (body.at(slice(None, None, 8)).depths(tree, rows) > permitted).any():
         return None
     depths = body.depths(tree, rows)

@@ -223,3 +223,18 @@ def test_the_goal_moves_with_other_fruit_on_its_limb() -> None:
     # Half as deep, it moves half as far.
     half = replace(push, depth_m=0.5 * near.depth, load=Load(near, 4, 0.5, 0.0))
     assert goal_displacement([half], far, 1.05) == pytest.approx(0.5 * moved)
+
+
+def test_limits_refuse_no_motion_that_touches_nothing(robot: Robot) -> None:
+    scene, checked = load_scene("orchard-row"), 0
+    for fruit in ("fruit 02", "fruit 07", "fruit 14", "fruit 23"):
+        task = scene.with_values(goal=hplan.scene.Goal(fruit=fruit))
+        result = hplan.plan(robot, task)
+        contact = result.certificate.goal_contact or "approach"
+        found = hplan.certify(robot, with_limbs(task), result.trajectory, goal_contact=contact)
+        assert found.verified
+        assert found.digests is not None
+        assert result.certificate.digests is not None
+        assert found.digests.scene != result.certificate.digests.scene
+        checked += 1
+    assert checked == 4

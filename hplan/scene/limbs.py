@@ -189,7 +189,7 @@ class Limbs(Record):
         """
         paths = [self.path(number)[::-1] for number in numbers]
         shared = [row for row, other in zip(*paths, strict=False) if row == other]
-        found = np.zeros((3, 3))
+        found, rigidity = np.zeros((3, 3)), self.flexural_rigidity(youngs_modulus)
         for rank, row in enumerate(shared):
             ends = [
                 float(np.dot((self.joint[path[rank + 1]] if rank + 1 < len(path) else point) - self.start[row],
@@ -197,13 +197,13 @@ class Limbs(Record):
                 for path, point in zip(paths, points, strict=True)
             ]  # fmt: skip
             part = min(max(min(ends), 0.0), float(self.length[row]))
-            twist = (1.0 / TWIST_RATIO - 1.0) * part / self.flexural_rigidity(youngs_modulus)[row]
+            twist = (1.0 / TWIST_RATIO - 1.0) * part / rigidity[row]
             arms = [np.cross(self.axis[row], point - self.start[row]) for point in points]
             found += twist * np.outer(*arms)
             # The integrand is quadratic in s: two Gauss points are exact.
             for s in (0.5 - 0.5 / math.sqrt(3.0), 0.5 + 0.5 / math.sqrt(3.0)):
                 first, second = points - (self.start[row] + s * part * self.axis[row])
-                weight = 0.5 * part / self.flexural_rigidity(youngs_modulus)[row]
+                weight = 0.5 * part / rigidity[row]
                 found += weight * (float(first @ second) * np.eye(3) - np.outer(second, first))
         return found
 

@@ -709,7 +709,7 @@ def with_limbs(scene: Scene, wood: Wood | None = None) -> Scene:
 
 def is_trellis(name: str) -> bool:
     """True for names of wires and posts."""
-    return any(word in ("wire", "post") for word in name.split())
+    return not {"wire", "post"}.isdisjoint(name.lower().split())
 
 
 def _ball_distance(solid: Solid, point: FloatArray) -> float:

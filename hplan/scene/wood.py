@@ -85,10 +85,7 @@ DAMPING_RATIO: Final = 0.05
 #: Prevents divisions by zero where a limb is clamped.
 _TINY: Final = 1e-12
 
-#: Maximum extension of a part as a multiple of its depth.
-MOST_EXTENSION: Final = 1.0
-
-#: Number of extensions that are tried, from none to that.
+#: Number of extensions that are tried, from none to the depth across the axis.
 _SHARES: Final = 17
 
 #: Number of limb parts whose neighbours are found together.
@@ -616,10 +613,10 @@ def _depth_and_extension(pushables: Pushables) -> tuple[FloatArray, FloatArray]:
     scaled, axis = pushables.force[:, None, None] * pushables.compliance, pushables.stiff_axis
     alone = _lateral_depth(pushables)
     depth, extension = np.zeros(len(alone)), np.zeros(len(alone))
-    for share in np.linspace(0.0, MOST_EXTENSION, _SHARES):
+    for share in np.linspace(0.0, 1.0, _SHARES):
         tried = share * alone
         found = np.clip(_smallest(scaled, axis, tried), 0.0, alone)
-        better = (found > depth * (1.0 + 1e-9)) & (tried <= MOST_EXTENSION * found * (1.0 + 1e-9))
+        better = (found > depth * (1.0 + 1e-9)) & (tried <= found * (1.0 + 1e-9))
         depth, extension = np.where(better, found, depth), np.where(better, tried, extension)
     return depth, extension
 

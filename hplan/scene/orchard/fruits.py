@@ -15,7 +15,7 @@ import numpy as np
 from hplan.base.arguments import check_between, check_integer, instance, list_of
 from hplan.base.arrays import FloatArray
 from hplan.errors import OptionError
-from hplan.scene.model import Fruit
+from hplan.scene.model import Fruit, is_trellis
 from hplan.scene.obstacles import Capsule, Obstacle
 from hplan.scene.orchard.options import FruitZone, OrchardOptions
 from hplan.scene.orchard.wood import DECIMALS
@@ -202,7 +202,7 @@ def _shallowest(canopy: Canopy, places: Iterable[FloatArray]) -> tuple[float, Fl
 
 
 def _bears(capsule: Capsule) -> bool:
-    return {"trunk", "wire", "post"}.isdisjoint(capsule.name.lower().split())
+    return not is_trellis(capsule.name) and "trunk" not in capsule.name.lower().split()
 
 
 def _length(capsule: Capsule) -> float:

@@ -298,7 +298,8 @@ def _contact_solids(
         return {}
     whole: dict[str, Any] = {piece.name: piece for piece in obstacles if _is_still_capsule(piece)}
     whole |= {f.name: Sphere(name=f.name, center=f.center, radius=f.radius, sigma=f.sigma) for f in fruits}
-    stiff = [solid for piece in obstacles if piece.name not in set(limbs.names) for solid in piece.solids]
+    names = set(limbs.names)
+    stiff = [solid for piece in obstacles if piece.name not in names for solid in piece.solids]
     hanging, roots = hanging_fruits(fruits, limbs, wood), limbs.roots().tolist()
     carried: dict[int, float] = {}
     for segment, mass in zip(hanging.segment.tolist(), hanging.mass.tolist(), strict=True):
@@ -539,6 +540,8 @@ def hanging_fruits(fruits: Sequence[HangingFruit], limbs: Limbs, wood: Wood) -> 
         if hung is None or hung[2] - fruit.radius - limbs.radius[hung[0]] > STALK_M:
             continue
         segment, along, arm = hung
+        if arm < _TINY:  # its centre is in the limb: it has no stalk, and stays rigid
+            continue
         point = limbs.start[segment] + along * limbs.axis[segment]
         stalk = (np.array(fruit.center) - point) / arm
         weight = GRAVITY * wood.fruit_density * 4.0 / 3.0 * math.pi * fruit.radius**3

@@ -135,6 +135,11 @@ def test_fruit_swings_but_is_not_pulled_off() -> None:
     assert part.core[:, 2].max() > 0.94 + 0.7 * limit.depth
 
 
+def test_fruit_about_the_axis_of_a_limb_does_not_yield() -> None:
+    fruit = Fruit(name="apple", center=(0.1, 0.0, 1.0), radius=0.04)
+    assert "apple" not in contact_solids((TRUNK, TWIG), (fruit,), Wood())
+
+
 def test_fruit_far_from_wood_does_not_yield() -> None:
     fruit = Fruit(name="apple", center=(0.3, 0.0, 0.8), radius=0.04)
     assert "apple" not in contact_solids((TRUNK, TWIG), (fruit,), Wood())

@@ -11,7 +11,7 @@ from toy_urdf import SIX_AXIS_LIMITS, seven_axis_arm, six_axis_arm, six_axis_pic
 from hplan.errors import InputError, RobotFamilyError
 from hplan.planar.family_reader import FAMILY
 from hplan.robot.model import Robot, load_robot
-from hplan.scene.model import Fruit
+from hplan.scene.fruit import Fruit
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 
 #: Six and seven axes of simple shapes; joints that slide and turn; two of example-robot-data.

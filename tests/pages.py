@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene, Start
 from hplan.trajectory.trajectory import Trajectory
 
 needs_chromium = pytest.mark.skipif(shutil.which("chromium") is None, reason="headless chromium is not installed")

@@ -18,7 +18,8 @@ from hplan.planning.problem import Problem
 from hplan.planning.result import PlanResult
 from hplan.planning.world import World
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Sphere
 from hplan.trajectory.trajectory import Trajectory
 

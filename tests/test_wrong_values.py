@@ -32,7 +32,8 @@ from hplan.robot.family.members import HARVESTER, ArmSpec, cross_check, load_mem
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.cell import CellRobot, CellScene
 from hplan.scene.file import dump_scene, parse_scene
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
 from hplan.scene.orchard import (
     FruitZone,

@@ -73,8 +73,9 @@ from hplan.collision.far_obstacles import warn_of_far_obstacles
 from hplan.errors import InputError, MovingObstacleError, OptionError
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
+from hplan.scene.fruit import Fruit
 from hplan.scene.limits import LEAST_RISK
-from hplan.scene.model import Fruit, Scene, checked_scene
+from hplan.scene.model import Scene, checked_scene
 from hplan.scene.obstacle_kind import Sigmas
 from hplan.trajectory.cubics import Interpolation
 from hplan.trajectory.trajectory import Trajectory, check_trajectory_joints

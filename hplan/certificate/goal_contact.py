@@ -38,7 +38,7 @@ from numpy.typing import ArrayLike
 from hplan.base.arrays import BoolArray, FloatArray
 from hplan.collision.motion_coefficients import carriers, joint_axis, points_reach
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit
+from hplan.scene.fruit import Fruit
 from hplan.trajectory.trajectory import SAME_TIME
 
 #: Within this distance of its target point the tool counts as arrived [m].

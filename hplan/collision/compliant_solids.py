@@ -37,7 +37,7 @@ class LinkedSolids(Record):
     """Solids with the links that must keep clear of each.
 
     A compliant solid occurs twice: at full size for links that may not push it, and smaller for links that may. Limbs
-    have solids of their own for both (`hplan.scene.wood`).
+    have solids of their own for both (`hplan.scene.limb_contacts`).
 
     Attributes:
         solids: The rigid solids, then the compliant ones twice.

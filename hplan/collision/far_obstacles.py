@@ -11,7 +11,8 @@ from hplan.base.arrays import FloatArray
 from hplan.collision.motion_coefficients import workspace_ball
 from hplan.errors import FarObstacleWarning
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Scene
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Scene
 from hplan.scene.obstacles import AnyObstacle, Mesh, PointCloud
 
 #: A scene is suspicious if all of it is farther than this multiple of the arm's maximum extent; a single mesh or cloud

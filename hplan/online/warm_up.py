@@ -21,7 +21,8 @@ from hplan.errors import HplanError
 from hplan.online.planner import Planner
 from hplan.planning.options import PlanOptions
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
 from hplan.scene.tracks import Track
 

@@ -41,7 +41,8 @@ from hplan.planning.world import World
 from hplan.robot.limits import rest_to_rest
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel, name_margin
-from hplan.scene.model import Fruit, Scene
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Scene
 
 #: Number of draws, and the maximum difference in probability from the best approach to count as equally good.
 _DRAWS, SAME = 4096, 0.005

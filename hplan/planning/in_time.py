@@ -24,7 +24,8 @@ from hplan.planning.motion import Plan, Solver, best_of
 from hplan.planning.problem import Problem
 from hplan.planning.schedule import STEP_S, MovingField, PathInTime, earliest_schedule, room_to_change
 from hplan.planning.start_in_motion import after_stop, stops
-from hplan.scene.model import Fruit, Scene, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Scene, Start
 from hplan.scene.obstacle_kind import transform_fields
 from hplan.scene.obstacles import AnyObstacle, Sphere
 from hplan.trajectory.trajectory import Phase, Trajectory, join_trajectories, scale_motion

@@ -29,7 +29,8 @@ from hplan.planning.problem import Problem
 from hplan.planning.specialist import presets_of
 from hplan.planning.stages import Progress, no_progress, stage_clock
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Scene
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Scene
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,8 @@ from hplan.base.lazy_import import lazy_names
 
 if TYPE_CHECKING:
     from hplan.scene.file import default_scene_path, dump_scene, load_scene, parse_scene, save_scene
-    from hplan.scene.model import FORMAT, Fruit, Goal, Scene, Start, with_limbs
+    from hplan.scene.fruit import Fruit
+    from hplan.scene.model import FORMAT, Goal, Scene, Start, with_limbs
     from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, PointCloud, Sphere
     from hplan.scene.tracks import Sway, Track
     from hplan.scene.wood import Wood
@@ -53,7 +54,8 @@ __getattr__ = lazy_names(
     __name__,
     {
         "hplan.scene.file": "default_scene_path dump_scene load_scene parse_scene save_scene",
-        "hplan.scene.model": "FORMAT Fruit Goal Scene Start with_limbs",
+        "hplan.scene.fruit": "Fruit",
+        "hplan.scene.model": "FORMAT Goal Scene Start with_limbs",
         "hplan.scene.obstacles": "Box Capsule Cylinder Mesh Obstacle PointCloud Sphere",
         "hplan.scene.tracks": "Sway Track",
         "hplan.scene.wood": "Wood",

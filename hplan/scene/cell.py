@@ -12,8 +12,9 @@ from typing import Annotated, Any, Literal, TypeAlias
 from pydantic import Field, model_validator
 
 from hplan.base.checked import StrictModel, fault
+from hplan.scene.fruit import Fruit
 from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Vector
-from hplan.scene.model import FORMAT, Fruit, Goal, Scene, Start
+from hplan.scene.model import FORMAT, Goal, Scene, Start
 from hplan.scene.obstacle_kind import Name
 from hplan.scene.obstacles import Obstacle
 from hplan.scene.robot_source import RobotSource

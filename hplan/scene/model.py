@@ -15,7 +15,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from hplan.base.arguments import instance, list_of, number
 from hplan.base.arrays import FloatArray, numbers
@@ -24,14 +24,14 @@ from hplan.errors import MovingObstacleError, SceneError
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.hull import Hull
 from hplan.geometry.rotation import quaternion_rotation, rpy_rotation
+from hplan.scene.fruit import Fruit
 from hplan.scene.imports import Import, flatten_imports
+from hplan.scene.limb_contacts import contact_solids, limbs_of
 from hplan.scene.limbs import find_parents
-from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Size, Vector
+from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Vector
 from hplan.scene.obstacle_kind import (
     CovarianceField,
-    Item,
     Name,
-    Sigma,
     TrackField,
     largest_deviation,
     transform_fields,
@@ -40,7 +40,7 @@ from hplan.scene.obstacle_kind import (
 from hplan.scene.obstacles import AnyObstacle, Capsule, Obstacle, Solid, Sphere
 from hplan.scene.robot_source import RobotField
 from hplan.scene.tracks import Movement
-from hplan.scene.wood import Wood, contact_solids, limbs_of
+from hplan.scene.wood import Wood
 
 #: Format of scene files, the value of their key `format`.
 FORMAT: Final = "hplan-scene/1"
@@ -53,38 +53,6 @@ if TYPE_CHECKING:
     _Listed = Obstacle
 else:  # an import gives way to its obstacles
     _Listed = Annotated[AnyObstacle | Import, Field(discriminator="kind")]
-
-
-def _to_tuple(names: Any) -> Any:
-    """Convert a single name to a tuple."""
-    return (names,) if isinstance(names, str) else names
-
-
-class Fruit(Item):
-    """A spherical fruit; an obstacle unless it is the goal.
-
-    `track`, `sway`, `yields` and `covariance` are described in `hplan.scene.obstacle_kind.Item`.
-
-    Attributes:
-        name: Name of the fruit.
-        center: Centre [m].
-        radius: Radius [m].
-        sigma: Standard deviation of each coordinate of its position [m].
-        hangs_from: Names of the obstacles that the fruit is attached to. They are compliant for a task that may touch
-            this fruit: up to their own `yields`, or `hplan.collision.compliant_solids.HANGING_M` if that is 0.
-
-    Examples:
-        >>> from hplan.scene import Fruit
-        >>> apple = Fruit(name="apple", center=(1.2, 0.0, 1.6), radius=0.04, hangs_from="branch 1")
-        >>> apple.hangs_from
-        ('branch 1',)
-    """
-
-    name: Name
-    center: Vector
-    radius: Size
-    sigma: Sigma = 0.0
-    hangs_from: Annotated[tuple[Name, ...], BeforeValidator(_to_tuple), Field(exclude=True)] = ()
 
 
 class JointValues(StrictModel):

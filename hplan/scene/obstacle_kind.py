@@ -138,7 +138,7 @@ def _rotation(rpy_deg: tuple[float, float, float]) -> FloatArray:
 
 
 class ContactLimit(NamedTuple):
-    """What the deepest permitted contact does to a limb or a fruit, and what is allowed (`hplan.scene.wood`).
+    """What the deepest permitted contact does to a limb or a fruit, and what is allowed (`hplan.scene.limb_contacts`).
 
     Static force and stress of a smaller depth are at most in proportion.
 

@@ -45,7 +45,8 @@ from hplan.planning.problem import Problem, merge_problems
 from hplan.planning.solver import best_motion
 from hplan.robot.limits import rest_to_rest
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Goal
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal
 from hplan.tour.moves import Moves, Stop
 from hplan.tour.ordering import Costs, Visits, order_grasps
 

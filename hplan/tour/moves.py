@@ -28,7 +28,7 @@ from hplan.planning.path_finder import Path, is_straight_clear, path_time, short
 from hplan.planning.problem import Problem
 from hplan.planning.solver import motion_near, motions, searches_grid_first
 from hplan.robot.limits import Limits, rest_to_rest
-from hplan.scene.model import Fruit
+from hplan.scene.fruit import Fruit
 
 #: Number of rows of the bounds matrix computed at a time.
 _ROWS: Final = 64

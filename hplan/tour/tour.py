@@ -36,7 +36,8 @@ from hplan.planning.problem import Problem
 from hplan.planning.report import assumptions_report, far_report, motion_report
 from hplan.planning.stages import Progress, no_progress
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Goal, Scene
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene
 from hplan.tour.motions import LegMotions, Motions, drop_off, with_carried_fruit
 from hplan.tour.moves import Stop
 from hplan.tour.ordering import Costs, Visits, best, nearest_tour, order_grasps

@@ -30,7 +30,8 @@ from hplan.planning.options import PlanOptions
 from hplan.robot.limits import least_duration
 from hplan.robot.model import Robot
 from hplan.scene.file import load_scene
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.orchard import SHIPPED, TUCKED_DEG, fruit_at_tips, import_capsules
 from hplan.tour.tour import plan_tour
 

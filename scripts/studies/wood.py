@@ -31,8 +31,9 @@ from hplan.errors import InputError
 from hplan.planning.options import PlanOptions
 from hplan.planning.reachable import reachable
 from hplan.robot.model import Robot
+from hplan.scene.fruit import Fruit
 from hplan.scene.limbs import Limbs, find_parents
-from hplan.scene.model import Fruit, Goal, Scene, Start, with_limbs
+from hplan.scene.model import Goal, Scene, Start, with_limbs
 from hplan.scene.obstacle_kind import ContactLimit
 from hplan.scene.orchard import MeasuredOptions, import_tree, measured_orchard
 from hplan.scene.wood import Wood

@@ -13,7 +13,8 @@ from hplan.apps.view.playback import Playback
 from hplan.apps.view.scene_stage import REST_S, build_stage, keyframe_times
 from hplan.apps.view.scenery import METAL, UNPICKED_COLORS, WOOD, moving_nodes, obstacles, picks
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Goal
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal
 from hplan.scene.obstacles import Box, Capsule, Cylinder
 from hplan.scene.tracks import Track
 from hplan.trajectory.trajectory import Phase, Trajectory

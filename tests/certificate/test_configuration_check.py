@@ -9,7 +9,8 @@ from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
 import hplan
 from hplan.collision.coal_scene import CoalScene, Contact, OwnContact
 from hplan.errors import ConfigurationInCollisionError, MovingObstacleError
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Sphere
 from hplan.scene.tracks import Track
 

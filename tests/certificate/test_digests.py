@@ -15,7 +15,8 @@ from hplan.certificate.digests import Digests, robot_digest, scene_digest, traje
 from hplan.collision.coal_shapes import triangle_tree
 from hplan.robot.model import load_robot
 from hplan.scene.file import load_scene
-from hplan.scene.model import Fruit, Goal, Scene
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacles import Mesh, PointCloud, Sphere
 from hplan.trajectory.trajectory import Trajectory, read_csv, write_csv
 

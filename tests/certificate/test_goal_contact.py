@@ -25,7 +25,8 @@ from hplan.planning.result import PlanResult
 from hplan.robot.model import load_robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.file import load_scene
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Sphere
 from hplan.scene.tracks import Track
 from hplan.trajectory.trajectory import Trajectory, join_trajectories, read_csv, scale_motion, stop_motion, write_csv

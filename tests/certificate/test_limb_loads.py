@@ -24,9 +24,9 @@ from hplan.collision.compliant_solids import pushing_links
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.scene import Capsule, Scene, Wood, load_scene, with_limbs
+from hplan.scene.limb_contacts import limbs_of
 from hplan.scene.limbs import Limbs
 from hplan.scene.obstacle_kind import ContactLimit
-from hplan.scene.wood import limbs_of
 
 #: Fruits whose quickest motion pushes limbs.
 PUSHING = ("fruit 03", "fruit 10", "fruit 24")

@@ -17,7 +17,8 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.errors import MovingObstacleError
 from hplan.planar.family_reader import family_of
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Goal
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal
 from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
 from hplan.scene.tracks import Sway, Track
 

@@ -11,7 +11,8 @@ from hplan.certificate.goal_contact import THERE
 from hplan.certificate.task_check import TASK_TOLERANCE
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import InputError
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Sphere
 
 START, GOAL = (-0.4, 0.3, 0.4, 0.5), (0.5, 0.8, 0.2, 0.3)

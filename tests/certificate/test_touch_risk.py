@@ -18,7 +18,8 @@ from hplan.certificate.touch_risk import TouchRisk
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import CertificationError, MovingObstacleError, NotInTimeError, OptionError
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import AnyObstacle, Box, Capsule, PointCloud, Sphere
 from hplan.scene.tracks import Track
 from hplan.trajectory.trajectory import Trajectory

@@ -18,7 +18,8 @@ from hplan.collision.motion_coefficients import workspace_ball
 from hplan.errors import FarObstacleWarning
 from hplan.robot.model import Robot
 from hplan.scene.file import save_scene
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import AnyObstacle, Box, Capsule, Mesh, PointCloud, Sphere
 from hplan.scene.tracks import Track
 

@@ -21,7 +21,8 @@ from hplan.planning.report import write_report
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.scene.file import load_scene, save_scene
-from hplan.scene.model import Fruit, Goal
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal
 from hplan.scene.obstacles import Box, Sphere
 from hplan.scene.tracks import Track
 from hplan.trajectory.trajectory import Trajectory, write_csv

@@ -14,7 +14,8 @@ from hplan.collision.motion_coefficients import tight_reach_ball
 from hplan.errors import InputError, NoPathError
 from hplan.geometry.cloud import Cloud
 from hplan.online.frame import CloudOptions
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import PointCloud, Sphere
 
 #: Options that accept frames without any return.

@@ -20,7 +20,8 @@ from hplan.planar.pages.yaw_section import YawSection, yaw_section
 from hplan.planning.options import PlanOptions
 from hplan.robot.family.members import HARVESTER, write_robot
 from hplan.robot.model import Robot, load_robot
-from hplan.scene.model import Fruit, Goal, Scene
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacles import Capsule, Sphere
 from hplan.trajectory.trajectory import Trajectory
 

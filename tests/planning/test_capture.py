@@ -11,7 +11,8 @@ import hplan
 from hplan.errors import OptionError
 from hplan.planning.grasps import SAME, capture_probabilities
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene, Start
 
 CAPTURE = (0.008, 0.02)
 

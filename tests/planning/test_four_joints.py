@@ -36,7 +36,8 @@ from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.family import ORCHARD_HARVESTER, write_robot
 from hplan.robot.model import Robot, load_robot
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Sphere
 
 START, GOAL = (0.0, 30.0, 20.0, 20.0), (60.0, 30.0, 20.0, 20.0)

@@ -21,7 +21,8 @@ from hplan.planning.plan import plan, solver
 from hplan.planning.problem import Problem
 from hplan.planning.world import World, without_inside
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Goal, Scene
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacles import Sphere
 from hplan.scene.tracks import Track
 

@@ -31,7 +31,8 @@ from hplan.planning.schedule import (
     room_to_change,
 )
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Goal, Scene
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacles import Box, Sphere
 from hplan.scene.tracks import Track
 from hplan.trajectory.trajectory import Phase, scale_motion

@@ -29,7 +29,8 @@ from hplan.planning.solver import best_motion, prove_each_goal
 from hplan.planning.specialist import goal_sampler_of
 from hplan.planning.world import World
 from hplan.robot.model import Robot, load_robot
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Capsule, Sphere
 from hplan.tour.tour import plan_tour
 

@@ -10,7 +10,8 @@ from hplan.certificate.digests import scene_digest
 from hplan.errors import InputError, MovingObstacleError, OptionError, SceneError
 from hplan.geometry.rotation import rpy_rotation
 from hplan.scene.file import dump_scene, parse_scene
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Sphere
 from hplan.scene.tracks import Track
 

@@ -17,8 +17,9 @@ from hplan.certificate.digests import scene_digest
 from hplan.errors import OutputError, SceneError
 from hplan.scene import file as scene_file
 from hplan.scene.file import dump_scene, load_scene, parse_scene, save_scene
+from hplan.scene.fruit import Fruit
 from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
 
 HEAD = """\

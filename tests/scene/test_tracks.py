@@ -19,7 +19,8 @@ from hplan.geometry.cloud import Cloud
 from hplan.geometry.hull import THIN
 from hplan.geometry.rotation import rpy_of
 from hplan.scene.file import dump_scene, load_scene, parse_scene, save_scene
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacle_kind import SWEPT_ERROR, transform_solid
 from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Solid, Sphere
 from hplan.scene.tracks import Sway, Track

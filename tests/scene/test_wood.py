@@ -10,8 +10,9 @@ import pytest
 from hplan.certificate.digests import scene_digest
 from hplan.errors import SceneError
 from hplan.scene import Box, Capsule, Fruit, Goal, Scene, Start, Wood, dump_scene, load_scene, parse_scene, with_limbs
+from hplan.scene.limb_contacts import contact_solids, limbs_of
 from hplan.scene.obstacle_kind import ContactLimit
-from hplan.scene.wood import LARGE_ROTATION_FORCE, MOST_ROTATION, STATIC_SHARE, contact_solids, limbs_of
+from hplan.scene.wood import LARGE_ROTATION_FORCE, MOST_ROTATION, STATIC_SHARE
 
 TRUNK = Capsule(name="trunk", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, 2.0), radius=0.03)
 TWIG = Capsule(name="twig", start=(0.0, 0.0, 1.0), end=(0.4, 0.0, 1.0), radius=0.004, parent="trunk")

@@ -21,7 +21,8 @@ from hplan.errors import ConfigurationInCollisionError, TourError
 from hplan.planning.options import PlanOptions
 from hplan.scene.cell import CellRobot, CellScene
 from hplan.scene.file import load_scene
-from hplan.scene.model import Fruit, Goal, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Start
 from hplan.tour.cell_tour import CellTour, plan_cell_tour
 from hplan.workcell.cell import Cell
 

@@ -27,7 +27,8 @@ from hplan.planning.options import PlanOptions
 from hplan.planning.problem import Problem
 from hplan.robot.model import Robot
 from hplan.scene.file import save_scene
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Sphere
 from hplan.tour import ordering
 from hplan.tour.motions import with_carried_fruit

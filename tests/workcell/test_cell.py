@@ -32,7 +32,8 @@ from hplan.planning.options import PlanOptions
 from hplan.robot.several import joined_robots
 from hplan.scene.cell import CellRobot, CellScene
 from hplan.scene.file import load_scene
-from hplan.scene.model import Fruit, Goal, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Start
 from hplan.scene.obstacles import Sphere
 from hplan.workcell.cell import Cell, certify_cell, load_cell
 from hplan.workcell.planner import _CellPlanner, plan_cell, replan_cell

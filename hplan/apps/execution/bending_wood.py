@@ -33,8 +33,8 @@ from scipy.sparse.linalg import eigsh
 from hplan.apps.execution.wind import Wind
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.checked import NotNegative, Options, Positive
+from hplan.scene.fruit import Fruit
 from hplan.scene.limbs import TWIST_RATIO, Limbs
-from hplan.scene.model import Fruit
 from hplan.scene.wood import GRAVITY, STALK_M, Wood
 
 #: Position of an element's first joint, as a share of its length; the second one is at 1 minus this.

@@ -24,9 +24,10 @@ from hplan.collision.compliant_solids import maximum_deflection, pushing_links
 from hplan.errors import InputError, RobotFileError
 from hplan.geometry.cloud import Cloud
 from hplan.robot.model import Robot
+from hplan.scene.limb_contacts import limbs_of
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
-from hplan.scene.wood import Wood, limbs_of
+from hplan.scene.wood import Wood
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,8 @@ from hplan.apps.view.scenery import FRUIT_COLOR, GOAL_FRUIT_COLOR, look_of
 from hplan.base.arguments import instance, text
 from hplan.base.arrays import FloatArray
 from hplan.collision.coal_shapes import solid_shape
-from hplan.scene.model import Fruit, Scene
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Obstacle, PointCloud, Sphere
 
 Marker: TypeAlias = dict[str, Any]

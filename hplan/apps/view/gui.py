@@ -17,7 +17,8 @@ from hplan.apps.view.live import LiveScene
 from hplan.apps.view.session import Session, contact_words
 from hplan.base.arrays import FloatArray
 from hplan.errors import HplanError
-from hplan.scene.model import Fruit, Goal
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal
 from hplan.scene.obstacles import AnyObstacle
 
 #: Entry of a list of names without a choice.

@@ -21,7 +21,8 @@ from hplan.base.arguments import check_integer, instance, number
 from hplan.base.arrays import numbers
 from hplan.base.lazy_import import extra
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Scene
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Scene
 from hplan.scene.obstacles import AnyObstacle, PointCloud
 
 if TYPE_CHECKING:

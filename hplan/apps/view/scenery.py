@@ -37,7 +37,8 @@ from hplan.apps.view.three_js import Body, Json
 from hplan.base.arrays import FloatArray
 from hplan.collision.coal_shapes import solid_shape
 from hplan.errors import InputError
-from hplan.scene.model import Fruit, Scene
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Scene
 from hplan.scene.obstacles import AnyObstacle, Box, Capsule, Cylinder, PointCloud, Sphere
 from hplan.scene.tracks import Track
 

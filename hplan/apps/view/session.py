@@ -17,7 +17,8 @@ from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.scene.file import save_scene
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacle_kind import transform_fields
 from hplan.scene.obstacles import AnyObstacle
 

@@ -13,8 +13,8 @@ from hplan.base.arguments import check_between, file_path, list_between
 from hplan.base.csv_file import CsvFile
 from hplan.errors import OptionError, SceneError
 from hplan.scene.file import load_scene
+from hplan.scene.fruit import Fruit
 from hplan.scene.limits import Vector
-from hplan.scene.model import Fruit
 from hplan.scene.obstacles import Capsule
 from hplan.scene.orchard.options import FARTHEST
 from hplan.scene.orchard.wood import capsule

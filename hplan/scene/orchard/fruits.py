@@ -15,7 +15,8 @@ import numpy as np
 from hplan.base.arguments import check_between, check_integer, instance, list_of
 from hplan.base.arrays import FloatArray
 from hplan.errors import OptionError
-from hplan.scene.model import Fruit, is_trellis
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import is_trellis
 from hplan.scene.obstacles import Capsule, Obstacle
 from hplan.scene.orchard.options import FruitZone, OrchardOptions
 from hplan.scene.orchard.wood import DECIMALS

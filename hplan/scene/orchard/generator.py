@@ -12,7 +12,8 @@ import numpy as np
 
 from hplan.base.arguments import instance, list_between, list_of
 from hplan.errors import OptionError
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule
 from hplan.scene.orchard.capsule_file import import_tree
 from hplan.scene.orchard.fruits import attach_fruits, fruit_at_tips, hang_fruits

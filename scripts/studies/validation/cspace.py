@@ -35,7 +35,8 @@ from hplan.planar.grid.occupancy import occupancy
 from hplan.planar.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
 from hplan.planar.grid.sections import sections_at
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Mesh, PointCloud
 
 #: Kinds of obstacles; each scene has one. Cylinders are polyhedra to the C-space, and slightly larger than for coal.

@@ -1,0 +1,111 @@
+"""How far contacts displace the point of a limb that a fruit hangs from."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import Final
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, Record, readonly
+from hplan.scene.limb_parts import TINY
+from hplan.scene.limbs import Limbs
+from hplan.scene.obstacle_kind import ContactLimit
+
+#: Number of normals for which the displacement of a limb by a pushed fruit is examined.
+_SPHERE: Final = 400
+
+
+@dataclass(frozen=True, eq=False)
+class HangingPoint(Record):
+    """Point of a limb that a fruit hangs from.
+
+    Attributes:
+        limbs: All limbs.
+        segment: Number of the segment.
+        along: Distance from its start [m].
+        swing: (3, 3) compliance of the pendulum [m/N].
+        youngs_modulus: Minimum and maximum of Young's modulus [Pa].
+    """
+
+    limbs: Limbs
+    segment: int
+    along: float
+    swing: FloatArray
+    youngs_modulus: tuple[float, float]
+
+    def __call__(self, limit: ContactLimit) -> tuple[float, bool]:
+        r"""Largest displacement per deflection of a part of a limb, and True if one of both carries the other.
+
+        A contact with the normal n deflects the part by its depth along n, and displaces this point by the depth times
+        :math:`|C_{fx} n| / (n^\top C_{xx} n)`. The maximum over all n across the part is bounded between samples by
+        the derivatives of both quadratic forms.
+        """
+        if isinstance(limit.displacement, HangingPoint):
+            return self._ratio_by_fruit(limit, limit.displacement), False
+        modulus = self.youngs_modulus[1]
+        limbs, numbers = self.limbs, (self.segment, limit.segment)
+        path, other = limbs.path(self.segment), limbs.path(limit.segment)
+        if not path or not other or path[-1] != other[-1]:
+            return 0.0, False
+        here, axis = limbs.start[self.segment] + self.along * limbs.axis[self.segment], limbs.axis[limit.segment]
+        across = _across(axis)
+        largest = 0.0
+        for along in limit.along:
+            at = limbs.start[limit.segment] + along * axis
+            moved = limbs.mutual_compliance(numbers, np.stack([here, at]), modulus) @ across.T
+            own = limbs.compliance(limit.segment, along / float(limbs.length[limit.segment]), modulus)
+            largest = max(largest, _largest_ratio(moved.T @ moved, across @ own[:3, :3] @ across.T))
+        return largest, limit.segment in path or self.segment in other
+
+    def _ratio_by_fruit(self, limit: ContactLimit, other: HangingPoint) -> float:
+        """Largest displacement per deflection of another fruit on the same limb.
+
+        A push of the depth d along n exerts d / (n C n) with the compliance C of limb and pendulum, and at most the
+        limit's force. The softest limb is displaced most, since the pendulum does not depend on it. Many normals are
+        examined.
+        """
+        limbs, numbers, soft = self.limbs, (self.segment, other.segment), self.youngs_modulus[0]
+        points = np.stack([
+            limbs.start[point.segment] + point.along * limbs.axis[point.segment] for point in (self, other)
+        ])  # fmt: skip
+        own = limbs.mutual_compliance((other.segment, other.segment), points[[1, 1]], soft) + other.swing
+        normals = _half_sphere(_SPHERE)
+        moved = np.linalg.norm(normals @ limbs.mutual_compliance(numbers, points, soft).T, axis=1)
+        per_depth = 1.0 / np.maximum(np.einsum("ni,ij,nj->n", normals, own, normals), TINY)
+        return float((moved * np.minimum(per_depth, limit.force / max(limit.depth, TINY))).max())
+
+
+#: Number of normals across a limb between which the displacement is bounded.
+_NORMALS: Final = 256
+
+
+def _across(axis: FloatArray) -> FloatArray:
+    """(2, 3) unit vectors across an axis."""
+    first = np.cross(axis, np.eye(3)[int(np.abs(axis).argmin())])
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(axis, first)])
+
+
+def _largest_ratio(above: FloatArray, below: FloatArray) -> float:
+    """Upper bound of sqrt(n^T above n) / (n^T below n) for unit vectors n of the plane, for (2, 2) matrices."""
+    angle = np.arange(_NORMALS) * math.pi / _NORMALS
+    normals = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    step = 0.5 * math.pi / _NORMALS  # from the nearest sample; a quadratic form changes by its spread per radian
+    tops, bottoms = (np.einsum("ki,ij,kj->k", normals, matrix, normals) for matrix in (above, below))
+    spreads = [float(np.ptp(np.linalg.eigvalsh(matrix))) for matrix in (above, below)]
+    lowest = np.maximum(bottoms - step * spreads[1], float(np.linalg.eigvalsh(below)[0]))
+    if float(lowest.min()) <= 0.0:
+        return math.inf
+    return float((np.sqrt(tops + step * spreads[0]) / lowest).max())
+
+
+@cache
+def _half_sphere(count: int) -> FloatArray:
+    """(count, 3) evenly distributed directions with z > 0."""
+    rank = np.arange(count) + 0.5
+    height, turn = rank / count, math.pi * (1.0 + math.sqrt(5.0)) * rank
+    across = np.sqrt(1.0 - height**2)
+    return readonly(np.column_stack([across * np.cos(turn), across * np.sin(turn), height]))

@@ -1,0 +1,166 @@
+r"""Solids of limbs and fruit that bend: their parts with permitted depths, and what contacts with them do.
+
+Permitted depths follow from `hplan.scene.limb_parts` and `hplan.scene.limb_depths`.
+
+**Impact.** A link that meets a limb with the speed v exerts at most about :math:`v Z` in addition, with the impedance
+of a beam at the frequency at which it equals that of the contact's spring k (Cremer, Heckl and Petersson, Structure-
+Borne Sound, chapter 4): :math:`Z = k^{1/3} (2 \sqrt 2)^{2/3} (E I)^{1/6} (\rho A)^{1/2}`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, TypeGuard
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray
+from hplan.scene.fruit import Fruit
+from hplan.scene.hanging_point import HangingPoint
+from hplan.scene.limb_depths import permitted_contacts
+from hplan.scene.limb_parts import Pushables, divide_limbs, hanging_fruits
+from hplan.scene.limbs import Limbs
+from hplan.scene.obstacle_kind import ContactLimit, Solid
+from hplan.scene.obstacles import Capsule, Obstacle, Sphere
+from hplan.scene.wood import DAMPING_RATIO, GRAVITY, IMPACT_FACTOR, MOST_SWING, Wood
+
+#: Number of scenes whose limbs are kept.
+_KEPT: Final = 8
+
+
+def contact_solids(
+    obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood: Wood
+) -> Mapping[str, tuple[Solid, ...]]:
+    """Solids of the limbs and the fruit that bend, by name.
+
+    The first solid of each name is the whole obstacle, which links meet that may not push; the others are the parts
+    that pushing links meet, unless the whole is rigid. Obstacles and fruits that are no limbs and hang from none are
+    missing. Results are kept for the same obstacles and fruits.
+
+    Args:
+        obstacles: All obstacles of a scene; its limbs are the capsules with a parent, and the parents.
+        fruits: All fruits.
+        wood: Limits and properties.
+    """
+    items = (*obstacles, *fruits)
+    key = tuple(map(id, items)), len(fruits), wood
+    known = _KNOWN.get(key)
+    if known is None:
+        known = items, _contact_solids(obstacles, fruits, wood)
+        _KNOWN[key] = known
+        while len(_KNOWN) > _KEPT:
+            _KNOWN.pop(next(iter(_KNOWN)), None)
+    return known[1]
+
+
+#: Parts are copies of this capsule: a checked one takes ten times as long.
+_TEMPLATE: Final = Capsule(name="part", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, 1.0), radius=1.0)
+
+#: Kept results of `contact_solids`; they hold obstacles and fruits, so that no id is used for another object.
+_KNOWN: Final[dict[tuple[tuple[int, ...], int, Wood], tuple[Any, Mapping[str, tuple[Solid, ...]]]]] = {}
+
+
+def limbs_of(obstacles: Sequence[Obstacle], wood: Wood) -> Limbs:
+    """Limbs among the obstacles of a scene; obstacles that move or sway are none."""
+    return Limbs.of([piece for piece in obstacles if _is_still_capsule(piece)], wood.clamp_radius)
+
+
+def _is_still_capsule(piece: Any) -> TypeGuard[Capsule]:
+    return isinstance(piece, Capsule) and piece.is_static
+
+
+def _contact_solids(obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood: Wood) -> dict[str, tuple[Solid, ...]]:
+    limbs = limbs_of(obstacles, wood)
+    if not len(limbs.names):
+        return {}
+    whole: dict[str, Any] = {piece.name: piece for piece in obstacles if _is_still_capsule(piece)}
+    whole |= {f.name: Sphere(name=f.name, center=f.center, radius=f.radius, sigma=f.sigma) for f in fruits}
+    names = set(limbs.names)
+    stiff = [solid for piece in obstacles if piece.name not in names for solid in piece.solids]
+    hanging, roots = hanging_fruits(fruits, limbs, wood), limbs.roots().tolist()
+    carried: dict[int, float] = {}
+    for segment, mass in zip(hanging.segment.tolist(), hanging.mass.tolist(), strict=True):
+        carried[roots[segment]] = carried.get(roots[segment], 0.0) + mass
+    found, decays = dict[str, tuple[Solid, ...]](), _decay_rates(limbs, hanging, wood)
+    for pushables, most_force in ((divide_limbs(limbs, wood), wood.contact_force), (hanging, wood.fruit_force)):
+        table = permitted_contacts(pushables, limbs, hanging, stiff, wood)
+        extension = table.extension[:, None] * pushables.stiff_axis
+        starts, ends = (pushables.start - extension).tolist(), (pushables.end + extension).tolist()
+        for row, name in enumerate(pushables.names):
+            depth, segment = float(table.depth[row]), int(pushables.segment[row])
+            low, high = pushables.along[row].tolist()
+            swing = float(pushables.swing[row])
+            point, decay = None, 0.0
+            if swing > 0.0:
+                pendulum = _pendulum_compliance(pushables, row)
+                point = HangingPoint(limbs, segment, low, pendulum, (wood.softest, wood.stiffest))
+                decay = decays[row]
+            limit = ContactLimit(
+                depth, float(table.force[row]), float(table.stress[row]), segment, roots[segment], (low, high),
+                *_impact(limbs, segment, swing, float(pushables.mass[row]), carried.get(roots[segment], 0.0), wood),
+                most_force, wood.wood_stress, point, decay, wood.capture_range,
+            )  # fmt: skip
+            solid = _TEMPLATE.copy_unchecked({
+                "name": name, "start": tuple(starts[row]), "end": tuple(ends[row]),
+                "radius": float(pushables.radius[row]), "sigma": whole[name].sigma, "yields": depth,
+            })  # fmt: skip
+            found.setdefault(name, (whole[name].met_by("others"),))
+            found[name] += (solid.met_by("pushing", limit),)
+    for name, solids in found.items():
+        if not any(solid.yields for solid in solids):  # rigid, whatever hangs from it
+            found[name] = (whole[name].met_by("all", solids[-1].contact_limit),)
+    return found
+
+
+def _decay_rates(limbs: Limbs, hanging: Pushables, wood: Wood) -> list[float]:
+    """(k,) minimum rates at which swinging fruit come to rest, limbs included [1/s].
+
+    The first frequency is at least that of Dunkerley's formula: the squared periods of all fruit on a limb, each alone
+    on the softest wood, and of the pendulum add up.
+    """
+    found, roots = list[float](), limbs.roots()
+    compliance = limbs.compliance_along(hanging.segment, hanging.along[:, 0])[0] / wood.softest
+    squared = hanging.mass * np.linalg.eigvalsh(compliance)[:, -1] if len(hanging.names) else np.zeros(0)
+    for row, segment in enumerate(hanging.segment.tolist()):
+        root = int(roots[segment])
+        limb = float(squared[roots[hanging.segment] == root].sum()) if root >= 0 else 0.0
+        pendulum = float(hanging.depth[row]) / MOST_SWING / GRAVITY
+        found.append(DAMPING_RATIO / math.sqrt(limb + pendulum))
+    return found
+
+
+def _pendulum_compliance(hanging: Pushables, row: int) -> FloatArray:
+    """(3, 3) compliance of a fruit on its stalk [m/N]; the secant one at the maximum swing."""
+    stalk, arm = hanging.stiff_axis[row], float(hanging.depth[row]) / MOST_SWING
+    stiffness = GRAVITY * float(hanging.mass[row]) / (arm * math.sqrt(1.0 - MOST_SWING**2))
+    found: FloatArray = (np.eye(3) - np.outer(stalk, stalk)) / stiffness
+    return found
+
+
+def _impact(
+    limbs: Limbs, segment: int, swing: float, mass: float, carried: float, wood: Wood
+) -> tuple[float, float, float, float]:
+    """Impact, impact stress, swing and rate of `ContactLimit`.
+
+    The force is that of the contact's spring on a beam (see the module), and on the fruit that hang from the same first
+    bending segment: stalks are stiff along their axis. A beam that is set in motion with the speed v is bent by a wave
+    with the stress 2 v sqrt(E rho), which is reflected at its clamp and its forks.
+
+    Args:
+        limbs: All limbs.
+        segment: Number of the segment.
+        swing: The swing of a fruit, 0 for a limb [N s^2/m^2].
+        mass: Mass of the fruit [kg].
+        carried: Mass of all fruit on limbs with the same root [kg].
+        wood: Limits and properties.
+    """
+    if swing > 0.0:
+        return 0.0, 0.0, swing, math.sqrt(wood.contact_stiffness / mass)
+    radius = float(limbs.radius[segment])
+    rigidity = wood.stiffest * 0.25 * math.pi * radius**4
+    per_length = wood.density * math.pi * radius**2
+    impedance = wood.contact_stiffness ** (1.0 / 3.0) * 2.0 * rigidity ** (1.0 / 6.0) * math.sqrt(per_length)
+    stress = 2.0 * IMPACT_FACTOR * math.sqrt(wood.stiffest * wood.density)
+    force = IMPACT_FACTOR * impedance + math.sqrt(wood.contact_stiffness * carried)
+    return force, stress, 0.0, wood.contact_stiffness / impedance

@@ -70,6 +70,7 @@ from hplan.collision.coal_arm import BASE_DEPTH
 from hplan.collision.coal_scene import CoalScene, Contact, OwnContact, base_contacts
 from hplan.collision.compliant_solids import check_yield_links
 from hplan.collision.far_obstacles import warn_of_far_obstacles
+from hplan.collision.held_objects import holding
 from hplan.errors import InputError, MovingObstacleError, OptionError
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
@@ -271,7 +272,8 @@ def certify(
             `velocity_jumps` is set for a motion that is not linear between samples.
     """
     instance("robot", robot, Robot, "load_robot")
-    check_yield_links(robot, checked_scene(scene).yield_links)
+    robot = holding(robot, checked_scene(scene).attached)
+    check_yield_links(robot, scene.yield_links)
     instance("trajectory", trajectory, Trajectory, "plan or read_csv")
     truth("check_ends", check_ends)
     truth("rest_to_rest", rest_to_rest)

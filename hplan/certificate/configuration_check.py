@@ -16,6 +16,7 @@ from hplan.base.units import FARTHEST_JOINT
 from hplan.certificate.moving_obstacles import checker_in_time
 from hplan.collision.coal_scene import CoalScene, Contact
 from hplan.collision.compliant_solids import check_yield_links
+from hplan.collision.held_objects import holding
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene, checked_scene
 
@@ -75,7 +76,8 @@ def check(
         SceneError: A value of the scene was changed without validation.
     """
     instance("robot", robot, Robot, "load_robot")
-    check_yield_links(robot, checked_scene(scene).yield_links)
+    robot = holding(robot, checked_scene(scene).attached)
+    check_yield_links(robot, scene.yield_links)
     if time_s is not None:
         number("time_s", time_s, "a finite number of seconds")
     number("sigmas", sigmas, "a finite number >= 0", lambda value: value >= 0.0)

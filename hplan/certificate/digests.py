@@ -4,9 +4,11 @@ The subjects are a robot, a scene and a trajectory. The digests are computed fro
 comments, angle units in a URDF and mesh paths do not affect them; every number that planning or proof uses does.
 
 - **Robot**: names, joint frames and axes, masses, inertias, limits, links, link pairs that may touch, and all collision
-  shapes with vertices and triangles of their meshes, and all frames, which goals may name. Numbers are rounded to 12
-  decimals, since sines differ in the last bit from machine to machine.
-- **Scene**: its keys and values as in a scene file, and for each mesh or cloud the data instead of the file's name.
+  shapes with vertices and triangles of their meshes, and all frames, which goals may name; without the objects that it
+  holds, which belong to the scene. Numbers are rounded to 12 decimals, since sines differ in the last bit from machine
+  to machine.
+- **Scene**: its keys and values as in a scene file, held objects included, and for each mesh or cloud the data instead
+  of the file's name.
 - **Trajectory**: the joint names and the numbers of the CSV, bit by bit, and the curve between rows unless cubic.
 """
 
@@ -72,6 +74,10 @@ def scene_digest(scene: Scene) -> str:
     found.add_text(scene.model_dump_json(exclude={"obstacles": {"__all__": {"file"}}} if read else None))
     for obstacle in read:
         found.add_text(obstacle.data_digest)
+    for held in scene.attached:
+        found.add_text("attached", held.model_dump_json(exclude={"object": {"file"}}))
+        if isinstance(held.object, FromData):
+            found.add_text(held.object.data_digest)
     for name, key, value in _iterate_tracks(scene):
         found.add_text(name, key, value.model_dump_json())
     for item in (*scene.obstacles, *scene.fruits):
@@ -122,7 +128,7 @@ def _iterate_tracks(scene: Scene) -> Iterator[tuple[str, str, Track | Sway]]:
 @made_once
 def robot_digest(robot: Robot) -> str:
     """Digest of a robot, cached."""
-    robot = robot.loaded
+    robot = robot.loaded.bare
     found, model = _Digest("hplan-robot/2"), robot.model
     found.add_text(robot.name, robot.tool_frame, *robot.joint_names, *itertools.chain(*robot.may_touch))
     for frame in model.frames:  # a goal may name any of them

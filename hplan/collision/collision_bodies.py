@@ -200,7 +200,7 @@ def bodies_of(
 def _primitive(geometry: coal.CollisionGeometry) -> _Solid | None:
     """Convex solid of a primitive shape; None for unknown kinds.
 
-    Known are the kinds that URDF defines.
+    Known are the kinds that URDF defines, and convex hulls of held objects.
     """
     if isinstance(geometry, coal.Sphere):
         return _Solid("sphere", np.zeros((1, 3)), float(geometry.radius), True, 0.0, geometry)
@@ -213,6 +213,9 @@ def _primitive(geometry: coal.CollisionGeometry) -> _Solid | None:
         radius = float(geometry.radius)
         growth = radius * (1.0 / math.cos(math.pi / _SIDES) - 1.0)
         return _Solid("cylinder", _prism(radius, float(geometry.halfLength)), 0.0, False, growth, geometry)
+    if isinstance(geometry, coal.ConvexBase):  # a piece of a held object
+        core = np.array(geometry.points(), dtype=np.float64).reshape(-1, 3)
+        return _hull("mesh piece", core, float(geometry.getSweptSphereRadius()), geometry, MOST_BODY_POINTS)
     return None
 
 

@@ -16,6 +16,9 @@ Within **one arm** all pairs are checked, except
 - bodies on both sides of one joint that are never farther apart than `BEARING`, also proved. They are **assumed** to
   touch by construction: convex shapes of bearings overlap.
 
+The last two rules and the proof of constant contact do not hold for **held objects** (`Robot.attached`): such a pair is
+checked unless the scene permits the contact.
+
 Of two bodies on both sides of one revolute joint that always touch, or are assumed to, the parts beyond the joint are
 checked nevertheless (`hplan.collision.self_folds`).
 
@@ -117,8 +120,18 @@ def self_pairs(robot: Robot, beyond: float = BEYOND) -> SelfPairs:
         robot: The robot.
         beyond: Maximum excess over the joint limits [rad, m].
     """
-    every = itertools.combinations(range(len(collision_bodies(robot))), 2)
-    return pairs_among(robot, every, beyond)
+    count = len(collision_bodies(robot))
+    if not robot.attached:
+        return pairs_among(robot, itertools.combinations(range(count), 2), beyond)
+    # The bodies of held objects come last; pairs of links are those of the robot without them.
+    links, first = self_pairs(robot.bare, beyond), len(collision_bodies(robot.bare))
+    held = pairs_among(robot, ((i, j) for j in range(first, count) for i in range(j)), beyond)
+    return SelfPairs(
+        (*links.checked, *held.checked),
+        (*links.allowed, *held.allowed),
+        frozen(np.append(links.farthest, held.farthest)),
+        links.hinged,
+    )
 
 
 def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) -> SelfPairs:
@@ -141,7 +154,7 @@ def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) 
     touching, distances = _sample_touching(robot, own)
     farthest = dict(zip(own, np.where(distances >= _FAR_PAIR_M, np.inf, distances).tolist(), strict=True))
     for pair, touches in zip(own, touching.tolist(), strict=True):
-        if touches and _always_touch(robot, pair):
+        if touches and not _is_held(robot, pair) and _always_touch(robot, pair):
             allowed.append((*pair, f"they touch at all positions of {_joints_in_words(robot, pair)}"))
             del farthest[pair]
     checked = tuple(pair for pair, same_arm in zip(left, is_own, strict=True) if not same_arm or pair in farthest)
@@ -165,8 +178,15 @@ def _exemption(robot: Robot, pair: tuple[int, int], beyond: float) -> str | None
     if not between:
         return ROUND
     if declared is None and len(between) == 1:
-        return _by_one_joint(robot, pair, between[0], beyond)
+        reason = _by_one_joint(robot, pair, between[0], beyond)
+        return None if reason in _in_contact(robot, between[0]) and _is_held(robot, pair) else reason
     return declared
+
+
+def _is_held(robot: Robot, pair: tuple[int, int]) -> bool:
+    """True for pairs with a held object: no construction makes it touch a link, and the scene can permit it."""
+    held = {item.name for item in robot.attached}
+    return any(collision_bodies(robot)[body].name in held for body in pair)
 
 
 @made_once

@@ -29,6 +29,7 @@ from hplan.certificate.digests import Digests
 from hplan.certificate.retimed_certificate import CertifiedMotion
 from hplan.collision.compiled_obstacles import solid_rows
 from hplan.collision.far_obstacles import warn_of_far_obstacles
+from hplan.collision.held_objects import holding
 from hplan.collision.motion_coefficients import largest_sway
 from hplan.errors import (
     FrameError,
@@ -59,6 +60,7 @@ from hplan.planning.plan import check_task, solve_scene
 from hplan.planning.problem import Problem
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
+from hplan.scene.attached import Attached
 from hplan.scene.limits import FARTHEST_M
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacle_kind import FromData
@@ -83,7 +85,6 @@ class Planner:
     use the planner too, independently. A planner can be pickled, without its memory of layers and frames.
 
     Attributes:
-        robot: The arm.
         options: Planning options.
         scene: The current scene; its tracks are on the controller's clock.
         last: The last plan, assumed to be the running one; None before the first.
@@ -113,7 +114,7 @@ class Planner:
             OptionError: An argument has the wrong type.
         """
         check_task(robot, scene, options)
-        self.robot = robot
+        self._arm = robot
         self.options = PlanOptions() if options is None else options
         self.scene = scene
         self.last: PlanResult | None = None
@@ -133,12 +134,17 @@ class Planner:
     def __getstate__(self) -> dict[str, Any]:
         """Return the public attributes and the state of clock and clouds."""
         return {
-            key: vars(self)[key] for key in ("robot", "scene", "options", "last", "_is_told", "_cropped", "_closing")
+            key: vars(self)[key] for key in ("_arm", "scene", "options", "last", "_is_told", "_cropped", "_closing")
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         self._make_ready()
+
+    @property
+    def robot(self) -> Robot:
+        """The arm, with the objects that it holds."""
+        return holding(self._arm, self.scene.attached)
 
     def plan(self, *, begins_s: float | None = None, cancel: Cancel | None = None) -> PlanResult:
         """Plan as `hplan.plan` does, independent of earlier plans.
@@ -351,6 +357,8 @@ class Planner:
         self._check_clouds(scene, options, begins_s)
         self._check_known(scene)
         shown = scene if math.isnan(begin) else scene.starting_at(begin)
+        if before is not None and before.problem.robot.attached != scene.attached:
+            before = None  # its torques are those of another load
         found = solve_scene(Problem.from_scene(self.robot, shown, options), before=before)
         self.last = self._with_ages(replace(found, begins_s=begin), scene, begins_s)
         return self.last
@@ -412,11 +420,24 @@ class Planner:
         """
         _check_kind(obstacle)
         with self._changing:
-            if obstacle.name in {item.name for item in (*self.scene.obstacles, *self.scene.fruits)}:
+            scene = self.scene
+            if obstacle.name in {item.name for item in (*scene.obstacles, *scene.fruits, *scene.attached)}:
                 message = f"there already is an obstacle {obstacle.name!r}; names must differ"
                 raise InputError(message, name=obstacle.name)
             self._change((*self.scene.obstacles, obstacle))
             warn_of_far_obstacles(self.robot, self.scene)
+
+    def hold(self, attached: Sequence[Attached]) -> None:
+        """Change the objects that the arm holds; an empty list puts all of them away.
+
+        Raises:
+            InputError: `attached` is not a list of `Attached`.
+            SceneError: A name occurs twice, is that of an obstacle or of a frame, or a frame or link does not exist.
+        """
+        with self._changing:
+            scene = self.scene.with_attached(attached)
+            holding(self._arm, scene.attached)
+            self.scene = scene
 
     def remove(self, name: str) -> None:
         """Remove an obstacle or a fruit.

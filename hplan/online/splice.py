@@ -27,6 +27,7 @@ from hplan.certificate.goal_contact import FruitContact
 from hplan.certificate.moving_obstacles import checker_in_time
 from hplan.certificate.retimed_certificate import CertifiedMotion, certified_from, map_to_retimed
 from hplan.certificate.task_check import TASK_TOLERANCE
+from hplan.collision.held_objects import holding
 from hplan.errors import HplanError, InputError, NotOnMotionError, RunningMotionBlockedError, UnavoidableContactError
 from hplan.planning.in_time import without_moving
 from hplan.planning.options import PlanOptions
@@ -110,6 +111,7 @@ class RunningMotion:
             )
         time, scene = plan.trajectory.time, scene.starting_at(plan.begins_s)
         self.plan, self._scene, self._options = plan, scene, options
+        self._robot = holding(plan.robot, scene.attached)
         # Clocks of controllers are sums of small steps, and may be large numbers.
         self._same_s = SAME_TIME + 4.0 * math.ulp(plan.begins_s)
         self._now = 0.0 if now is None else self._since_begin("now", now, 0.0)
@@ -118,8 +120,8 @@ class RunningMotion:
         self.row = max(int(np.searchsorted(time, self._now + self._same_s, side="right")) - 1, 0)
         self.begins_s = float(time[self.row])
         still = without_moving(scene.starting_at(self.begins_s)) if scene.moves else scene
-        self._world = World.of_scene(plan.robot, still, options)
-        self._checker = checker_in_time(plan.robot, scene, options.sigmas) if scene.moves else self._world.checker
+        self._world = World.of_scene(self._robot, still, options)
+        self._checker = checker_in_time(self._robot, scene, options.sigmas) if scene.moves else self._world.checker
         # Contact is allowed with the fruits that existed at planning time, not with different ones of the same names.
         self._contacts = tuple(each for each in plan.certificate.contacts if each.is_with(scene.fruits))
 
@@ -143,7 +145,7 @@ class RunningMotion:
 
         The tolerance is the tracking error that certificates cover.
         """
-        robot = self.plan.robot
+        robot = self._robot
         q, velocity, _ = self.plan.trajectory.state_at(self._now)
         found = np.asarray(robot.turned_near(numbers("measured", measured, (robot.dof,)), q), dtype=np.float64)
         off, covered = np.abs(found - q), self._options.certified_tracking.deviations(velocity)
@@ -179,9 +181,9 @@ class RunningMotion:
         scene = self._scene.starting_at(float(time[seam])).copy_unchecked(
             {"start": _state_at(self.plan.trajectory, seam)}
         )
-        stop = stop_motion(self.plan.trajectory, float(time[seam]), self.plan.robot).trajectory
+        stop = stop_motion(self.plan.trajectory, float(time[seam]), self._robot).trajectory
         try:
-            new = solve_scene(Problem.from_scene(self.plan.robot, scene, self._options), stop=stop.cut_before(seam))
+            new = solve_scene(Problem.from_scene(self._robot, scene, self._options), stop=stop.cut_before(seam))
         except UnavoidableContactError as error:
             raise self._takeover_error(error.reasons) from error
         return self._join(seam, until, new)
@@ -195,12 +197,12 @@ class RunningMotion:
 
     def _stop_at(self, t: float) -> CertifiedMotion:
         """Return the stop that starts a time after the motion's start."""
-        retimed = stop_motion(self.plan.trajectory, t, self.plan.robot)
+        retimed = stop_motion(self.plan.trajectory, t, self._robot)
         motion = retimed.trajectory
         certificate = self._certificate(retimed, min(self.row, motion.samples - 1), rest=True)
-        certificate = replace(certificate, digests=Digests.compute(self.plan.robot, self._scene, motion))
+        certificate = replace(certificate, digests=Digests.compute(self._robot, self._scene, motion))
         parts_s = float(motion.time[retimed.row])
-        robot, begins_s = self.plan.robot, self.plan.begins_s
+        robot, begins_s = self._robot, self.plan.begins_s
         return CertifiedMotion(
             motion, certificate, parts_s, retimed.off_path_m, robot, self._scene, retimed.clock, begins_s
         )
@@ -209,6 +211,7 @@ class RunningMotion:
         """True if the motion solves the current task."""
         before, now = self.plan.scene, self._scene
         same = before.goal == now.goal and before.locked_joints == now.locked_joints
+        same = same and before.attached == now.attached
         if before.goal_fruit is None or now.goal_fruit is None:
             return same and before.goal_fruit == now.goal_fruit
         return same and FruitContact(before.goal_fruit, 0.0, 0.0).is_with([now.goal_fruit])
@@ -218,7 +221,7 @@ class RunningMotion:
 
         Samples from `row` on are certified; with `rest`, the motion must also end at rest.
         """
-        robot, among, tracking = self.plan.robot, (self._scene, self._checker), self._options.certified_tracking
+        robot, among, tracking = self._robot, (self._scene, self._checker), self._options.certified_tracking
         found = certified_from(robot, among, self._contacts, retimed, row, tracking=tracking)
         found = with_violations(found, rest_violations(robot, retimed.trajectory, {"ends": -1}) if rest else ())
         goal_contact = self.plan.certificate.goal_contact if self._contacts else None
@@ -272,7 +275,7 @@ class RunningMotion:
         state = _state_at(self.plan.trajectory, self.row)
         scene = self._scene.starting_at(begins_s).copy_unchecked({"start": state})
         trajectory = replace(trajectory, takes_over_s=0.0)
-        certificate = replace(certificate, digests=Digests.compute(self.plan.robot, scene, trajectory))
+        certificate = replace(certificate, digests=Digests.compute(self._robot, scene, trajectory))
         transit = made.motion
         problem = replace(transit.problem, scene=scene, options=self._options)
         first = trajectory.cut_after(int(np.searchsorted(trajectory.time, phases[0].end_s - SAME_TIME)))

@@ -14,6 +14,7 @@ from hplan.certificate.certificate import GoalContact, certify, goal_contacts
 from hplan.certificate.digests import Digests
 from hplan.collision.compliant_solids import check_yield_links
 from hplan.collision.far_obstacles import warn_of_far_obstacles
+from hplan.collision.held_objects import holding
 from hplan.errors import CertificationError, HplanError, NoPathError, TimingError
 from hplan.planning.at_risk import within_risk
 from hplan.planning.in_time import past_moving_obstacles
@@ -102,7 +103,8 @@ def check_task(
         SceneError: A value of the scene was changed without validation.
     """
     instance("robot", robot, Robot, "load_robot")
-    check_yield_links(robot, checked_scene(scene).yield_links)
+    robot = holding(robot, checked_scene(scene).attached)
+    check_yield_links(robot, scene.yield_links)
     function("progress", progress)
     if options is not None:
         check_method(robot, instance("options", options, PlanOptions))

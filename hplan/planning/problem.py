@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen, readonly
 from hplan.collision.compiled_field import ClearanceField
+from hplan.collision.held_objects import holding
 from hplan.errors import InputError
 from hplan.optimization.minimize_time import OptimizerEffort
 from hplan.planning.effort import Effort, efforts_of
@@ -33,7 +34,7 @@ class Problem(Record):
     returns the problem of a motion to one of them, and `merged` the problem of a motion to any of several.
 
     Attributes:
-        robot: The arm.
+        robot: The arm, with the objects that it holds in the scene.
         scene: Obstacles and task, as given.
         options: The options of the plan.
         effort: Search and optimization budget.
@@ -66,7 +67,7 @@ class Problem(Record):
             InputError: The scene's start is not a configuration of the robot.
             JointLimitError: The start violates the joint limits.
         """
-        robot, start = robot.about_start(scene.start)
+        robot, start = holding(robot, scene.attached).about_start(scene.start)
         movable = np.flatnonzero(~robot.locked_mask(scene.locked_joints))
         rows, nothing = frozen(np.zeros((0, robot.dof))), frozen(np.zeros(0))
         effort = efforts_of(presets_of(robot), options)[-1]

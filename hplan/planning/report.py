@@ -101,6 +101,7 @@ def certificate_report(certificate: Certificate, options: PlanOptions, scene: Sc
         "limit_use": vars(certificate.limit_use),
         "violations": list(certificate.violations),
         **({"uncovered_links": list(certificate.uncovered_links)} if certificate.uncovered_links else {}),
+        **attached_report(scene),
         "digests": None if digests is None else vars(digests),
         **({} if certificate.nearest_s is None else {"nearest_s": certificate.nearest_s}),
         **({} if until is None else {"clear_until_s": until if math.isfinite(until) else None}),
@@ -140,6 +141,17 @@ def far_report(robot: Robot, scene: Scene) -> dict[str, list[str]]:
     """The obstacles implausibly far from the arm; empty without any."""
     names = far_obstacles(robot, scene)
     return {"far_obstacles": list(names)} if names else {}
+
+
+def attached_report(scene: Scene) -> dict[str, Any]:
+    """The held objects and their total mass; empty without any. The frame of an object is null at the tool frame."""
+    if not scene.attached:
+        return {}
+    held = [
+        {"name": item.name, "kind": item.object.kind, "frame": item.frame, "mass_kg": item.mass}
+        for item in scene.attached
+    ]
+    return {"attached": held, "payload_kg": math.fsum(item.mass for item in scene.attached)}
 
 
 def curve_report(certificate: Certificate) -> dict[str, Any]:

@@ -54,6 +54,7 @@ from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, read_urdf_xml
 from hplan.scene.robot_source import RobotSource
 
 if TYPE_CHECKING:
+    from hplan.scene.attached import Attached
     from hplan.scene.model import JointValues, Start
 
 #: Excess of a joint limit that is permitted at the start of a motion, as encoders and rounding cause it [rad or m].
@@ -90,6 +91,8 @@ class Robot(Record):
         assumptions: Values that no file gives, and what was assumed instead.
         turns: (dof,) whole turns by which the ranges of continuous joints are shifted (`about`); empty for none.
         shape_faults: Drawn links whose collision shapes are missing or do not fit (`hplan.robot.drawn_links`).
+        attached: Objects that it holds, part of its models (`hplan.collision.held_objects`); empty for none.
+        without_attached: The robot as loaded, without these objects; None if it holds none.
     """
 
     name: str
@@ -113,6 +116,8 @@ class Robot(Record):
     shape_faults: tuple[ShapeFault, ...] = ()
     assumptions: tuple[str, ...] = ()
     turns: tuple[float, ...] = ()
+    attached: tuple[Attached, ...] = ()
+    without_attached: Robot | None = None
 
     def __repr__(self) -> str:
         joints = ", ".join(self.joint_names)
@@ -134,10 +139,6 @@ class Robot(Record):
         """
         arm = self.owner_of(link)
         return f"link {link!r}" if arm is None else f"link {link.removeprefix(f'{arm}_')!r} of arm {arm!r}"
-
-    def with_shapes(self, collision_model: pin.GeometryModel) -> Robot:
-        """Return a copy of the robot with other collision geometry."""
-        return replace(self, collision_model=collision_model)
 
     @property
     def uncovered_links(self) -> tuple[str, ...]:
@@ -260,6 +261,11 @@ class Robot(Record):
         """
         return self.cache("loaded", lambda: self._turned(-np.array(self.turns))) if self.turns else self
 
+    @property
+    def bare(self) -> Robot:
+        """The robot without the objects that it holds, as it was loaded."""
+        return self.without_attached or self.loaded
+
     def about(self, q: ArrayLike) -> Robot:
         """Return the robot with the ranges of continuous joints shifted by whole turns to those about a configuration.
 
@@ -278,7 +284,11 @@ class Robot(Record):
         loaded, values = self.loaded, self._values_to_turn(q)
         if values is None or (np.abs(values) > FARTHEST_JOINT).any():
             return loaded
-        turns = np.where(self.continuous, np.rint(np.round(values / math.tau, 9)), 0.0)
+        return loaded.turned_by(np.where(self.continuous, np.rint(np.round(values / math.tau, 9)), 0.0))
+
+    def turned_by(self, turns: FloatArray) -> Robot:
+        """Return the robot with the ranges of its joints shifted by (dof,) whole turns, cached."""
+        loaded = self.loaded
         if not turns.any():
             return loaded
         found = loaded.cache(("about", *turns.tolist()), lambda: loaded._turned(turns))

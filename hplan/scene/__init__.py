@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 from hplan.base.lazy_import import lazy_names
 
 if TYPE_CHECKING:
+    from hplan.scene.attached import Attached
     from hplan.scene.file import default_scene_path, dump_scene, load_scene, parse_scene, save_scene
     from hplan.scene.fruit import Fruit
     from hplan.scene.model import FORMAT, Goal, Scene, Start, with_limbs
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FORMAT",
+    "Attached",
     "Box",
     "Capsule",
     "Cylinder",
@@ -53,6 +55,7 @@ __all__ = [
 __getattr__ = lazy_names(
     __name__,
     {
+        "hplan.scene.attached": "Attached",
         "hplan.scene.file": "default_scene_path dump_scene load_scene parse_scene save_scene",
         "hplan.scene.fruit": "Fruit",
         "hplan.scene.model": "FORMAT Goal Scene Start with_limbs",

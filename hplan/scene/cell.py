@@ -12,8 +12,9 @@ from typing import Annotated, Any, Literal, TypeAlias
 from pydantic import Field, model_validator
 
 from hplan.base.checked import StrictModel, fault
+from hplan.scene.attached import Attached
 from hplan.scene.fruit import Fruit
-from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Vector
+from hplan.scene.limits import FARTHEST_M, MOST_ATTACHED, MOST_OBSTACLES, Vector
 from hplan.scene.model import FORMAT, Goal, Scene, Start
 from hplan.scene.obstacle_kind import Name
 from hplan.scene.obstacles import Obstacle
@@ -45,6 +46,7 @@ class CellRobot(StrictModel):
         goal: Goal; None if the robot stays, or if its task is to pick fruit on a tour.
         drop_off: Place where fruit is released on a tour: joints, a position or a pose; None if the robot stores fruit.
         every: Maximum number of fruits carried to the drop-off at a time.
+        attached: Objects that it holds; their frames and links are named as in its own file.
     """
 
     name: Name
@@ -60,6 +62,7 @@ class CellRobot(StrictModel):
     goal: Goal | None = None
     drop_off: Goal | None = None
     every: Annotated[int, Field(ge=1)] = 1
+    attached: Annotated[tuple[Attached, ...], Field(max_length=MOST_ATTACHED)] = ()
 
     @model_validator(mode="after")
     def _begins_at_rest(self) -> CellRobot:
@@ -113,7 +116,8 @@ class CellScene(StrictModel):
                     raise fault(f"{robot_name!r} is not among the robots", "may_touch", place, end)
             if pair[0][0] == pair[1][0]:
                 raise fault(f"both links belong to {pair[0][0]!r}; a pair has links of two robots", "may_touch", place)
-        self.task(Goal(joints_rad=(0.0,)), self.robots[0].start)  # checks that names of obstacles and fruits differ
+        held = tuple(item for robot in self.robots for item in robot.attached)
+        self.task(Goal(joints_rad=(0.0,)), self.robots[0].start, attached=held)  # checks that all names differ
         return self
 
     def task(self, goal: Goal, start: Start, **more: Any) -> Scene:

@@ -159,10 +159,12 @@ def dump_scene(scene: Scene) -> str:
         True
     """
     instance("scene", scene, Scene, "load_scene")
-    for index, obstacle in enumerate(scene.obstacles):
+    listed = [(f"obstacles[{index}]", obstacle) for index, obstacle in enumerate(scene.obstacles)]
+    listed += [(f"attached[{index}].object", item.object) for index, item in enumerate(scene.attached)]
+    for where, obstacle in listed:
         if isinstance(obstacle, Mesh | PointCloud) and obstacle.file is None:
             reason = f"{obstacle.name!r} was created from arrays and has no file; save_scene writes one"
-            raise SceneError(reason, where=f"obstacles[{index}].file")
+            raise SceneError(reason, where=f"{where}.file")
     content: dict[str, Any] = {"format": scene.format, "name": scene.name}
     robot = scene.robot.to_file() if isinstance(scene.robot, RobotSource) else scene.robot
     content |= {} if robot is None else {"robot": robot}
@@ -221,13 +223,18 @@ def stage_scene(scene: Scene, path: Path | str, final: Path | str) -> Path:
     """
     instance("scene", scene, Scene, "load_scene")
     path, final = file_path("path", path), file_path("path", final)
-    shapes = {index: found for index, found in enumerate(scene.obstacles) if isinstance(found, Mesh | PointCloud)}
-    taken = {shape.path for shape in shapes.values()}
-    obstacles = [
-        _with_file(shapes[index], (path, final), index, taken) if index in shapes else obstacle
-        for index, obstacle in enumerate(scene.obstacles)
+    listed = [*scene.obstacles, *(item.object for item in scene.attached)]
+    taken = {shape.path for shape in listed if isinstance(shape, Mesh | PointCloud)}
+    written = [
+        _with_file(shape, (path, final), index, taken) if isinstance(shape, Mesh | PointCloud) else shape
+        for index, shape in enumerate(listed)
     ]
-    changes: dict[str, Any] = {"obstacles": tuple(obstacles)}
+    count = len(scene.obstacles)
+    held = zip(scene.attached, written[count:], strict=True)
+    changes: dict[str, Any] = {
+        "obstacles": tuple(written[:count]),
+        "attached": tuple(item.copy_unchecked({"object": shape}) for item, shape in held),
+    }
     if isinstance(scene.robot, RobotSource):
         changes["robot"] = scene.robot.as_seen_from(path.absolute().parent)
     return write_marked(path, dump_scene(scene.copy_unchecked(changes)), YAML_COMMENT)

@@ -30,6 +30,9 @@ MOST_SCENE_BYTES: Final = 8_000_000
 #: Maximum number of obstacles, and of fruits.
 MOST_OBSTACLES: Final = 20_000
 
+#: Maximum number of held objects.
+MOST_ATTACHED: Final = 64
+
 #: Maximum size of a mesh or point file, and of all such files of a scene [bytes].
 MOST_SHAPE_BYTES: Final = 256_000_000
 

@@ -24,11 +24,12 @@ from hplan.errors import MovingObstacleError, SceneError
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.hull import Hull
 from hplan.geometry.rotation import quaternion_rotation, rpy_rotation
+from hplan.scene.attached import Attached
 from hplan.scene.fruit import Fruit
 from hplan.scene.imports import Import, flatten_imports
 from hplan.scene.limb_contacts import contact_solids, limbs_of
 from hplan.scene.limbs import find_parents
-from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Vector
+from hplan.scene.limits import FARTHEST_M, MOST_ATTACHED, MOST_OBSTACLES, Vector
 from hplan.scene.obstacle_kind import (
     CovarianceField,
     Name,
@@ -249,6 +250,7 @@ class Scene(StrictModel):
         base_track: Motion of the base, for example of a platform along the tree row; None for a fixed base. Obstacles
             and their tracks are in the frame of the base without shift; start and goal are in the frame of the moving
             base.
+        attached: Objects that the arm holds during the whole motion.
 
     Examples:
         >>> from hplan.scene import Capsule, Goal, Scene, Start
@@ -274,11 +276,12 @@ class Scene(StrictModel):
     covariance: CovarianceField = None
     yield_links: Annotated[tuple[Name, ...] | None, Field(exclude=True)] = None
     wood: Annotated[Wood | None, Field(exclude=True)] = None
+    attached: Annotated[tuple[Attached, ...], Field(max_length=MOST_ATTACHED, exclude=True)] = ()
 
     @model_validator(mode="after")
     def _names_are_unique(self) -> Scene:
         seen: set[str] = set()
-        for key, items in (("obstacles", self.obstacles), ("fruits", self.fruits)):
+        for key, items in (("obstacles", self.obstacles), ("fruits", self.fruits), ("attached", self.attached)):
             for index, item in enumerate(items):
                 if item.name in seen:
                     raise fault(f"two obstacles are called {item.name!r}; names must differ", key, index, "name")
@@ -592,6 +595,22 @@ class Scene(StrictModel):
         parts = {key: getattr(self, key) for key in type(self).model_fields}
         parts |= {"obstacles": growing_from(obstacles), "fruits": hanging_from(obstacles, self.fruits)}
         return Scene.model_validate(parts)
+
+    def with_attached(self, attached: Sequence[Attached]) -> Scene:
+        """Return a checked copy with other objects in the arm's hand.
+
+        Raises:
+            InputError: `attached` is not a list of `Attached`.
+            SceneError: A name occurs twice, or is that of an obstacle or fruit.
+
+        Examples:
+            >>> from hplan.scene import Attached, Box, load_scene
+            >>> crate = Box(name="crate", center=(0.1, 0.0, 0.0), size=(0.1, 0.1, 0.1))
+            >>> scene = load_scene().with_attached([Attached(object=crate, mass=0.5)])
+            >>> [item.name for item in scene.attached]
+            ['crate']
+        """
+        return self.with_values(attached=list_of("attached", attached, Attached, "held objects"))
 
 
 #: Scenes that `checked_scene` has checked, by id: their values do not change.

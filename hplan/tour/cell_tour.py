@@ -26,12 +26,13 @@ from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.lazy_import import InNotebook
 from hplan.certificate.certificate import Certificate
+from hplan.collision.held_objects import holding
 from hplan.errors import CertificationError, HplanError, TourError
 from hplan.planning.options import PlanOptions
 from hplan.planning.reachable import reachable
 from hplan.planning.stages import Progress, no_progress
 from hplan.planning.world import World
-from hplan.tour.motions import with_carried_fruit
+from hplan.tour.motions import carried_fruit
 from hplan.tour.ordering import Costs, best, order_grasps
 from hplan.tour.tour import TourOptions, TourPlanner, TourResult, Unreached
 from hplan.trajectory.trajectory import Phase, Trajectory
@@ -300,7 +301,9 @@ def _plan_cell_tour(cell: Cell, options: PlanOptions, progress: Progress) -> Cel
     carry = [arm.tool_frame for arm in cell.arms if arm.drop_off is not None]
     thickest = max((fruit.radius for fruit in cell.scene.fruits), default=0.0)
     # An arm that carries fruit at any time keeps clearance for it at all times.
-    cell = replace(cell, robot=with_carried_fruit(cell.robot, thickest, carry)) if carry and thickest else cell
+    if carry and thickest:
+        held = [*cell.robot.attached, *(carried_fruit(thickest, frame) for frame in carry)]
+        cell = replace(cell, robot=holding(cell.robot, held))
     World.build(cell.robot, (), clearance=cell.scene.clearance).check_clear(cell.configuration({}), "start")
     apart = replace(cell, arms=tuple(_among_others(cell, arm) for arm in cell.arms))
     progress("reachability of the fruits")

@@ -13,8 +13,8 @@ two places is found, the arm moves through other stops.
 Once the tour is found, motions are blended: the arm does not stop at stand-offs if that is faster. The order is
 optimized with durations that include the stops.
 
-Carried fruit is part of the arm's collision geometry from the stand-off before a fruit to the drop-off, with the size
-of the largest fruit (`with_carried_fruit`). The motions of the empty arm are planned without it.
+Carried fruit is a held object (`carried_fruit`) from the stand-off before a fruit to the drop-off, with the size of the
+largest fruit. The motions of the empty arm are planned without it.
 """
 
 from __future__ import annotations
@@ -27,13 +27,10 @@ from dataclasses import replace
 from itertools import islice
 from typing import NamedTuple, TypeAlias
 
-import coal
 import numpy as np
-import pinocchio as pin
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, readonly
-from hplan.collision.collision_bodies import reuse_bodies
 from hplan.errors import HplanError, UnreachableError
 from hplan.planning.approach import Approach, blend, retreat_of
 from hplan.planning.failures import NO_MOTION
@@ -44,34 +41,26 @@ from hplan.planning.pose_goal import configurations_at
 from hplan.planning.problem import Problem, merge_problems
 from hplan.planning.solver import best_motion
 from hplan.robot.limits import rest_to_rest
-from hplan.robot.model import Robot
+from hplan.scene.attached import Attached
 from hplan.scene.fruit import Fruit
 from hplan.scene.model import Goal
+from hplan.scene.obstacles import Sphere
 from hplan.tour.moves import Moves, Stop
 from hplan.tour.ordering import Costs, Visits, order_grasps
 
-#: Name of the collision shape of the carried fruit.
+#: Name of the carried fruit among the held objects.
 CARRIED = "carried fruit"
 
 
-def with_carried_fruit(robot: Robot, radius: float, frames: Sequence[str] = ()) -> Robot:
-    """Return the arm with a carried fruit in its collision geometry.
-
-    The fruit is a ball at the tool frame, attached to the joint that carries the frame.
+def carried_fruit(radius: float, frame: str | None = None) -> Attached:
+    """Fruit that the arm holds: a ball at the tool frame.
 
     Args:
         radius: Radius of the fruit [m].
-        frames: Tool frames of the loaded arms of a composite robot.
+        frame: Tool frame of one arm of a composite robot; None for the robot's own.
     """
-    shapes = robot.collision_model.copy()
-    for frame in frames or (robot.tool_frame,):
-        number = robot.frame_number(frame)
-        at = robot.model.frames[number]
-        name = f"{CARRIED} {frame}" if frames else CARRIED
-        shapes.addGeometryObject(pin.GeometryObject(name, at.parentJoint, number, at.placement, coal.Sphere(radius)))
-    loaded = robot.with_shapes(shapes)
-    reuse_bodies(loaded, robot)
-    return loaded
+    name = CARRIED if frame is None else f"{CARRIED} {frame}"
+    return Attached(object=Sphere(name=name, center=(0.0, 0.0, 0.0), radius=radius), frame=frame)
 
 
 #: Optimizes a tour from the costs, the fruit order of the previous tour, and whether to search globally because the

@@ -36,9 +36,10 @@ from hplan.planning.problem import Problem
 from hplan.planning.report import assumptions_report, far_report, motion_report
 from hplan.planning.stages import Progress, no_progress
 from hplan.robot.model import Robot
+from hplan.scene.attached import Attached
 from hplan.scene.fruit import Fruit
 from hplan.scene.model import Goal, Scene
-from hplan.tour.motions import LegMotions, Motions, drop_off, with_carried_fruit
+from hplan.tour.motions import LegMotions, Motions, carried_fruit, drop_off
 from hplan.tour.moves import Stop
 from hplan.tour.ordering import Costs, Visits, best, nearest_tour, order_grasps
 from hplan.trajectory.retime import rest_at
@@ -263,7 +264,7 @@ class TourPlanner:
         """
         self._begin = time.perf_counter()
         self.robot, self.scene, self.options, self.tour, self.progress = robot, scene, options, tour, progress
-        self._carrying: Robot | None = None
+        self._carried: Attached | None = None
         self._drop: Motion | None = None
         if scene.start.is_moving:
             raise SceneError("tours begin at rest, but the start has a velocity or an acceleration", where="start")
@@ -278,16 +279,22 @@ class TourPlanner:
         if tour.drop_off is not None:
             progress("drop-off")
             thickest = max(fruit.radius for fruit in scene.fruits if fruit.name in names)
-            self._carrying = with_carried_fruit(robot, thickest)
-            loaded = Problem.from_scene(self._carrying, scene, options)
+            self._carried = carried_fruit(thickest)
+            loaded = Problem.from_scene(robot, self._loaded(scene, self._carried), options)
             self._drop = drop_off(tour.drop_off, self.problem, loaded, self.start)
         self._whole = self._motions(scene, Stop(self.start))
 
+    @staticmethod
+    def _loaded(scene: Scene, carried: Attached) -> Scene:
+        """Return the scene in which the arm holds a fruit, too."""
+        return scene.copy_unchecked({"attached": (*scene.attached, carried)})
+
     def _motions(self, scene: Scene, here: Stop) -> Motions:
         """Return the motions among a scene's solids, from the arm's stop."""
+        loaded = None if self._carried is None else self._loaded(scene, self._carried)
         return Motions(
             Problem.from_scene(self.robot, scene, self.options),
-            None if self._carrying is None else Problem.from_scene(self._carrying, scene, self.options),
+            None if loaded is None else Problem.from_scene(self.robot, loaded, self.options),
             here=here, home=Stop(self.start), drop=self._drop, every=self.tour.every or 1, back=self.tour.back,
         )  # fmt: skip
 

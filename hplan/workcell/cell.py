@@ -39,6 +39,7 @@ from hplan.certificate.motion_bound import fastest
 from hplan.certificate.moving_obstacles import checker_in_time
 from hplan.collision.collision_bodies import CollisionBody, collision_bodies
 from hplan.collision.compiled_field import ClearanceField
+from hplan.collision.held_objects import holding
 from hplan.collision.self_pairs import self_pairs
 from hplan.errors import InputError, OptionError
 from hplan.geometry.hull import CUBE_CORNERS, whole_hull
@@ -47,6 +48,7 @@ from hplan.planning.options import PlanOptions
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot, load_robot
 from hplan.robot.several import joined_robots
+from hplan.scene.attached import Attached
 from hplan.scene.cell import ArmLink, CellRobot, CellScene
 from hplan.scene.file import read_model
 from hplan.scene.model import Goal, Scene, Start
@@ -149,6 +151,8 @@ class Cell(Record):
         declared = [(first, second, BY_SCENE) for first, second in scene.may_touch]
         # Cached with the first robot, so that the next task of the same arms starts sooner.
         whole = key[0][1].cache(("cell", scene.may_touch, *key), lambda: joined_robots(placed, may_touch=declared))
+        held = (item for arm in scene.robots for item in _attached_in_cell(arm, robots[arm.name]))
+        whole = holding(whole, tuple(held))
         return cls(scene, whole, tuple(_arm(scene, arm, *placed[arm.name], whole) for arm in scene.robots))
 
     def arm(self, name: str) -> CellArm:
@@ -207,7 +211,8 @@ class Cell(Record):
             obstacles: False for a scene with the arms alone.
         """
         begin = self.configuration({}) if start is None else start
-        found = self.scene.task(Goal(joints_rad=tuple(goal.tolist())), Start(joints_rad=tuple(begin.tolist())))
+        ends = Goal(joints_rad=tuple(goal.tolist())), Start(joints_rad=tuple(begin.tolist()))
+        found = self.scene.task(*ends, attached=self.robot.attached)
         return found if obstacles else found.copy_unchecked({"obstacles": (), "fruits": ()})
 
     def join_motions(self, motions: Mapping[str, Trajectory]) -> Trajectory:
@@ -737,14 +742,27 @@ def _arm(scene: CellScene, given: CellRobot, robot: Robot, placement: pin.SE3, w
     goal = given.goal
     if goal is None:
         goal = Goal(**{key: value for key, value in given.start.model_dump().items() if key.startswith("joints")})
-    task, prefix = scene.task(goal, given.start), f"{given.name}_"
+    prefix, attached = f"{given.name}_", given.attached
     if placement.rotation[2, 2] < 1.0:
+        attached = _attached_in_cell(given, robot)
         robot, placement = joined_robots({given.name: (robot, placement)}, given.name), pin.SE3.Identity()
         prefix = ""
+    robot, task = holding(robot, attached), scene.task(goal, given.start, attached=attached)
     drop = given.drop_off and _seen_from(placement, scene.task(given.drop_off, given.start)).goal
     task = _seen_from(placement, task)
     joints = readonly([whole.joint_names.index(prefix + joint) for joint in robot.joint_names], np.int64)
     return CellArm(given.name, robot, task, joints, placement, given.goal is None, drop, given.every, prefix)
+
+
+def _attached_in_cell(arm: CellRobot, robot: Robot) -> tuple[Attached, ...]:
+    """Objects that an arm holds, with the names of frames and links in the workcell's robot."""
+    links = {str(frame.name) for frame in robot.model.frames}
+
+    def change(item: Attached) -> Attached:
+        touched = item.may_touch and tuple(f"{arm.name}_{name}" if name in links else name for name in item.may_touch)
+        return item.copy_unchecked({"frame": f"{arm.name}_{item.frame or robot.tool_frame}", "may_touch": touched})
+
+    return tuple(map(change, arm.attached))
 
 
 def _seen_from(base: pin.SE3, task: Scene) -> Scene:

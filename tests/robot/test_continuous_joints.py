@@ -7,12 +7,13 @@ import pytest
 from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
 
 from hplan import Planner, PlanOptions, certify, check, finish, load_robot, plan
-from hplan.certificate.digests import robot_digest
+from hplan.certificate.digests import robot_digest, scene_digest
 from hplan.collision.collision_bodies import collision_bodies
+from hplan.collision.held_objects import holding
 from hplan.errors import JointLimitError
 from hplan.robot.model import Robot
 from hplan.scene import Goal, Scene, Sphere, Start
-from hplan.tour.motions import with_carried_fruit
+from hplan.tour.motions import carried_fruit
 
 TURN = 2.0 * np.pi
 
@@ -77,12 +78,14 @@ def test_planner_replans_in_motion_after_turns(arm: Robot) -> None:
 
 
 def test_what_a_turned_arm_carries_counts(arm: Robot) -> None:
-    """Bodies and digests are those of the arm with its load, not of the arm that was loaded from the file."""
+    """Bodies are those of the arm with its load, not of the arm that was loaded from the file."""
     turned = arm.about(task(arm, 2.0).start.configuration)
     assert turned.loaded is arm
     assert turned.loaded.about(task(arm, 0.0).start.configuration) is arm
-    carrying, other = (with_carried_fruit(robot, 0.04) for robot in (turned, arm))
+    carrying, other = (holding(robot, [carried_fruit(0.04)]) for robot in (turned, arm))
     assert len(collision_bodies(carrying)) == len(collision_bodies(other)) == len(collision_bodies(arm)) + 1
-    assert robot_digest(carrying) == robot_digest(other) != robot_digest(arm)
+    assert robot_digest(carrying) == robot_digest(other) == robot_digest(arm)
+    scene = task(arm, 0.0)
+    assert scene_digest(scene.with_attached(carrying.attached)) != scene_digest(scene)
     np.testing.assert_allclose(carrying.lower, turned.lower)
     np.testing.assert_allclose(carrying.loaded.lower, arm.lower)

@@ -14,13 +14,14 @@ import hplan.errors as errors
 from hplan.apps.cli.main import main
 from hplan.certificate.certificate import certify
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
+from hplan.collision.held_objects import holding
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot
 from hplan.scene.file import save_scene
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Capsule
-from hplan.tour.motions import CARRIED, with_carried_fruit
+from hplan.tour.motions import CARRIED, carried_fruit
 from hplan.tour.tour import TourOptions, TourResult, plan_tour
 
 QUICK = PlanOptions(effort="quick")
@@ -75,9 +76,9 @@ def test_fruit_is_carried_to_a_pose_to_joints_or_to_a_place(picker: Robot, drop:
 
 
 def test_carried_fruit_is_a_ball_at_the_tool_that_keeps_clear(picker: Robot) -> None:
-    loaded = with_carried_fruit(picker, 0.05)
+    loaded = holding(picker, [carried_fruit(0.05)])
     ball = collision_bodies(loaded)[-1]
-    assert loaded.collision_model.geometryObjects[-1].name == CARRIED
+    assert ball.name == CARRIED
     assert (ball.kind, ball.rounding, ball.joint) == ("sphere", 0.05, picker.dof - 1)
     assert isinstance(loaded.collision_model.geometryObjects[-1].geometry, coal.Sphere)
     assert collision_bodies(loaded)[:-1] == collision_bodies(picker)

@@ -20,6 +20,7 @@ from hplan.base import ties
 from hplan.certificate.certificate import Certificate
 from hplan.certificate.limit_use import LimitUse
 from hplan.collision.coal_scene import CoalScene
+from hplan.collision.held_objects import holding
 from hplan.errors import BlockedError, TourError, UnreachableError
 from hplan.planar.family_reader import family_of
 from hplan.planning.motion import Motion
@@ -31,7 +32,7 @@ from hplan.scene.fruit import Fruit
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Sphere
 from hplan.tour import ordering
-from hplan.tour.motions import with_carried_fruit
+from hplan.tour.motions import CARRIED, carried_fruit
 from hplan.tour.moves import Joins, Moves, Stop
 from hplan.tour.ordering import SEGMENT, Costs, Visits, best, nearest_tour, order_grasps
 from hplan.tour.tour import TourOptions, TourPlanner, TourResult, plan_tour
@@ -224,7 +225,7 @@ def test_drop_off_after_two(robot: Robot, scene: Scene, carried: TourResult) -> 
 
 def test_carried_fruit_is_clear(robot: Robot, scene: Scene, carried: TourResult) -> None:
     """Between picking and letting go there is a fruit at the tool."""
-    thick = with_carried_fruit(robot, 0.04)
+    thick = holding(robot, [carried_fruit(0.04)])
     np.testing.assert_allclose(family_of(thick).arm.half_widths, [0.05, 0.04, 0.04], rtol=0, atol=1e-12)
     motion, contact = carried.trajectory, times_of_contact(carried)
     checker_at = checkers(thick, scene, carried)
@@ -236,7 +237,7 @@ def test_carried_fruit_is_clear(robot: Robot, scene: Scene, carried: TourResult)
             for column, other in enumerate(checker.obstacle_names):
                 begin, end = contact.get(other, (math.inf, -math.inf))
                 touching = begin - 1e-9 <= motion.time[row] <= end
-                rows = [name not in ("hand", "tool0") or not touching for name in checker.mover_names]
+                rows = [name not in ("hand", "tool0", CARRIED) or not touching for name in checker.mover_names]
                 assert distances[rows, column].min() > 0.0
 
 

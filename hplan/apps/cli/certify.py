@@ -31,6 +31,7 @@ from hplan.apps.cli.terminal import (
     escape,
     facts_table,
     hand_out,
+    held_rows,
     pause_garbage_collection,
     percent,
     risk_words,
@@ -165,7 +166,7 @@ def _show_certificate(console: Console, report: dict[str, Any], error: str) -> N
     table.add_row("certificate", describe_certificate(proof["verified"]))
     for violation in proof["violations"]:
         table.add_row("", escape(violation))
-    for row in uncovered_rows(proof.get("uncovered_links", ())):
+    for row in [*uncovered_rows(proof.get("uncovered_links", ())), *held_rows(proof)]:
         table.add_row(*row)
     shown = " mm or more, proved for all times" if proof["verified"] else " mm, the minimum found"
     table.add_row("clearance", clearance + shown)

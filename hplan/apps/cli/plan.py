@@ -36,6 +36,7 @@ from hplan.apps.cli.terminal import (
     describe_certificate,
     escape,
     facts_table,
+    held_rows,
     pause_garbage_collection,
     percent,
     progress_line,
@@ -249,7 +250,7 @@ def show_summary(console: Console, result: PlanResult, folder: Path, files: Sequ
     add("certificate", describe_certificate(proof["verified"]))
     for violation in proof["violations"]:
         add("", escape(violation))
-    for row in uncovered_rows(proof.get("uncovered_links", ())):
+    for row in [*uncovered_rows(proof.get("uncovered_links", ())), *held_rows(proof)]:
         add(*row)
     for assumption in report.get("assumptions", ()):
         add("assumed", f"[yellow]{escape(assumption.partition(':')[0])}[/]")

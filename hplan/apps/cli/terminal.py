@@ -342,6 +342,14 @@ def uncovered_rows(names: Collection[str]) -> list[tuple[str, str]]:
     ]
 
 
+def held_rows(proof: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Summary row of the objects that the arm holds, by a certificate of a report; empty without any."""
+    if "attached" not in proof:
+        return []
+    held = ", ".join(f"{escape(item['name'])} {item['mass_kg']:g} kg" for item in proof["attached"])
+    return [("holds", held)]
+
+
 def percent(fraction: float) -> str:
     """Format a fraction in percent, without the sign.
 

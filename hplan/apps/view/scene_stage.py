@@ -30,6 +30,7 @@ from hplan.apps.view.playback import Playback
 from hplan.apps.view.three_js import Body, Json
 from hplan.base.arrays import FloatArray
 from hplan.collision.collision_bodies import collision_bodies
+from hplan.collision.held_objects import holding
 from hplan.collision.motion_coefficients import workspace_ball
 from hplan.geometry.hull import CUBE_CORNERS
 from hplan.geometry.polyline import stations
@@ -70,6 +71,7 @@ def build_stage(robot: Robot, scene: Scene, playback: Playback) -> list[Json]:
             have, or a time outside the motion.
     """
     playback.check(robot)
+    robot = holding(robot, scene.attached)
     trajectory, picks = playback.trajectory, scenery.picks(scene, playback)
     stands = _stands(scene, playback)
     floor = _floor(robot, stands)

@@ -48,7 +48,7 @@ def load_violations(robot: Robot, pushes: Sequence[Push]) -> Iterator[str]:
             if load.limit.root >= 0:
                 roots[load.limit.root].append((push, load))
         for loads in roots.values():
-            stress, allowed = _stress(loads), loads[0][1].limit.most_stress
+            stress, allowed = _stress(loads), min(load.limit.most_stress for _, load in loads)
             if stress > allowed:
                 push = max(loads, key=lambda pair: pair[1].stress)[0]
                 _note(worst, (push.link, push.obstacle, "stress"), stress,
@@ -198,7 +198,7 @@ def gentle_speeds(pushes: Sequence[Push], duration_s: float, ease_s: float) -> F
             slower.append((push.begin_s, push.end_s, math.sqrt(fraction) if load.limit.swing > 0.0 else fraction))
     for (_, root), loads in by_root.items():
         impact = max(load.impact_stress for _, load in loads)
-        room = loads[0][1].limit.most_stress - (_stress(loads) - impact)
+        room = min(load.limit.most_stress for _, load in loads) - (_stress(loads) - impact)
         if root >= 0 and impact > room:
             push = loads[0][0]
             slower.append((push.begin_s, push.end_s, max(0.0, room) / impact))

@@ -264,6 +264,8 @@ class CoalScene:
             hangs_from: Names of obstacles that become compliant for the pushing links
                 (`hplan.collision.compliant_solids`).
         """
+        # Of the obstacles alone, and the same for all copies.
+        _ = self.obstacle_balls, self.distance_errors, self.boxes
         other = object.__new__(CoalScene)
         vars(other).update(vars(self))
         vars(other).pop("required_distances", None)

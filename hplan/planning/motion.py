@@ -355,7 +355,7 @@ def certify_gently(
     """
     quick, certificate = trajectory, certificate_of(problem, trajectory, None if among is None else among(trajectory))
     for ease_s in _EASE_S:
-        if certificate.verified:
+        if certificate.verified or _moves_goal_too_far(problem, certificate):
             break
         speeds = gentle_speeds(certificate.pushes_by_segment, trajectory.duration, ease_s)
         if speeds is None:
@@ -365,6 +365,12 @@ def certify_gently(
             found = certificate_of(problem, slower, None if among is None else among(slower))
             trajectory, certificate = slower, found
     return (trajectory if certificate.verified else quick), certificate
+
+
+def _moves_goal_too_far(problem: Problem, certificate: Certificate) -> bool:
+    """True if pushed limbs displace the goal fruit beyond the capture range, which no speed changes."""
+    wood, displacement = problem.scene.wood, certificate.goal_displacement_m
+    return wood is not None and displacement is not None and displacement > wood.capture_range
 
 
 #: Times before and after a contact in which a motion is slowed down, tried in turn [s].

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from hplan.scene.model import FORMAT, Goal, Scene, Start, with_limbs
     from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, PointCloud, Sphere
     from hplan.scene.tracks import Sway, Track
-    from hplan.scene.wood import Wood
+    from hplan.scene.wood import LimbLimits, Wood
 
 __all__ = [
     "FORMAT",
@@ -35,6 +35,7 @@ __all__ = [
     "Cylinder",
     "Fruit",
     "Goal",
+    "LimbLimits",
     "Mesh",
     "Obstacle",
     "PointCloud",
@@ -61,6 +62,6 @@ __getattr__ = lazy_names(
         "hplan.scene.model": "FORMAT Goal Scene Start with_limbs",
         "hplan.scene.obstacles": "Box Capsule Cylinder Mesh Obstacle PointCloud Sphere",
         "hplan.scene.tracks": "Sway Track",
-        "hplan.scene.wood": "Wood",
+        "hplan.scene.wood": "LimbLimits Wood",
     },
 )

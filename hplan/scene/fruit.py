@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import BeforeValidator, Field
 
 from hplan.scene.limits import Size, Vector
-from hplan.scene.obstacle_kind import Item, Name, Sigma
-
-
-def _to_tuple(names: Any) -> Any:
-    """Convert a single name to a tuple."""
-    return (names,) if isinstance(names, str) else names
+from hplan.scene.obstacle_kind import Item, Name, Sigma, to_tuple
 
 
 class Fruit(Item):
@@ -39,4 +34,4 @@ class Fruit(Item):
     center: Vector
     radius: Size
     sigma: Sigma = 0.0
-    hangs_from: Annotated[tuple[Name, ...], BeforeValidator(_to_tuple), Field(exclude=True)] = ()
+    hangs_from: Annotated[tuple[Name, ...], BeforeValidator(to_tuple), Field(exclude=True)] = ()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Final
 
 import numpy as np
@@ -37,7 +37,18 @@ class HangingPoint(Record):
     youngs_modulus: tuple[float, float]
 
     def __call__(self, limit: ContactLimit) -> tuple[float, bool]:
-        r"""Largest displacement per deflection of a part of a limb, and True if one of both carries the other.
+        """Largest displacement per deflection of a part of a limb, and True if one of both carries the other."""
+        if limit not in self._known:
+            self._known[limit] = self._largest(limit)
+        return self._known[limit]
+
+    @cached_property
+    def _known(self) -> dict[ContactLimit, tuple[float, bool]]:
+        """Results by contact: the motions to a fruit push the same limbs."""
+        return {}
+
+    def _largest(self, limit: ContactLimit) -> tuple[float, bool]:
+        r"""Bound of the displacement over all normals of the contact.
 
         A contact with the normal n deflects the part by its depth along n, and displaces this point by the depth times
         :math:`|C_{fx} n| / (n^\top C_{xx} n)`. The maximum over all n across the part is bounded between samples by

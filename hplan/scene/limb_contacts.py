@@ -23,7 +23,7 @@ from hplan.scene.limb_parts import Pushables, divide_limbs, hanging_fruits
 from hplan.scene.limbs import Limbs
 from hplan.scene.obstacle_kind import ContactLimit, Solid
 from hplan.scene.obstacles import Capsule, Obstacle, Sphere
-from hplan.scene.wood import DAMPING_RATIO, GRAVITY, IMPACT_FACTOR, MOST_SWING, Wood
+from hplan.scene.wood import DAMPING_RATIO, GRAVITY, IMPACT_FACTOR, MOST_SWING, Wood, limits_by_segment
 
 #: Number of scenes whose limbs are kept.
 _KEPT: Final = 8
@@ -83,7 +83,8 @@ def _contact_solids(obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood
     for segment, mass in zip(hanging.segment.tolist(), hanging.mass.tolist(), strict=True):
         carried[roots[segment]] = carried.get(roots[segment], 0.0) + mass
     found, decays = dict[str, tuple[Solid, ...]](), _decay_rates(limbs, hanging, wood)
-    for pushables, most_force in ((divide_limbs(limbs, wood), wood.contact_force), (hanging, wood.fruit_force)):
+    limits = limits_by_segment(limbs, wood)
+    for pushables in (divide_limbs(limbs, wood), hanging):
         table = permitted_contacts(pushables, limbs, hanging, stiff, wood)
         extension = table.extension[:, None] * pushables.stiff_axis
         starts, ends = (pushables.start - extension).tolist(), (pushables.end + extension).tolist()
@@ -91,15 +92,16 @@ def _contact_solids(obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood
             depth, segment = float(table.depth[row]), int(pushables.segment[row])
             low, high = pushables.along[row].tolist()
             swing = float(pushables.swing[row])
-            point, decay = None, 0.0
+            point, decay, most_force = None, 0.0, float(limits.force[segment])
+            modulus = float(limits.softest[segment]), float(limits.stiffest[segment])
             if swing > 0.0:
                 pendulum = _pendulum_compliance(pushables, row)
-                point = HangingPoint(limbs, segment, low, pendulum, (wood.softest, wood.stiffest))
-                decay = decays[row]
+                point = HangingPoint(limbs, segment, low, pendulum, modulus)
+                decay, most_force = decays[row], wood.of(name).fruit_force
             limit = ContactLimit(
                 depth, float(table.force[row]), float(table.stress[row]), segment, roots[segment], (low, high),
                 *_impact(limbs, segment, swing, float(pushables.mass[row]), carried.get(roots[segment], 0.0), wood),
-                most_force, wood.wood_stress, point, decay, wood.capture_range,
+                most_force, float(limits.stress[segment]), point, decay, wood.capture_range,
             )  # fmt: skip
             solid = _TEMPLATE.copy_unchecked({
                 "name": name, "start": tuple(starts[row]), "end": tuple(ends[row]),
@@ -120,7 +122,8 @@ def _decay_rates(limbs: Limbs, hanging: Pushables, wood: Wood) -> list[float]:
     on the softest wood, and of the pendulum add up.
     """
     found, roots = list[float](), limbs.roots()
-    compliance = limbs.compliance_along(hanging.segment, hanging.along[:, 0])[0] / wood.softest
+    softest = limits_by_segment(limbs, wood).softest[hanging.segment, None, None]
+    compliance = limbs.compliance_along(hanging.segment, hanging.along[:, 0])[0] / softest
     squared = hanging.mass * np.linalg.eigvalsh(compliance)[:, -1] if len(hanging.names) else np.zeros(0)
     for row, segment in enumerate(hanging.segment.tolist()):
         root = int(roots[segment])
@@ -157,10 +160,10 @@ def _impact(
     """
     if swing > 0.0:
         return 0.0, 0.0, swing, math.sqrt(wood.contact_stiffness / mass)
-    radius = float(limbs.radius[segment])
-    rigidity = wood.stiffest * 0.25 * math.pi * radius**4
+    radius, stiffest = float(limbs.radius[segment]), float(limits_by_segment(limbs, wood).stiffest[segment])
+    rigidity = stiffest * 0.25 * math.pi * radius**4
     per_length = wood.density * math.pi * radius**2
     impedance = wood.contact_stiffness ** (1.0 / 3.0) * 2.0 * rigidity ** (1.0 / 6.0) * math.sqrt(per_length)
-    stress = 2.0 * IMPACT_FACTOR * math.sqrt(wood.stiffest * wood.density)
+    stress = 2.0 * IMPACT_FACTOR * math.sqrt(stiffest * wood.density)
     force = IMPACT_FACTOR * impedance + math.sqrt(wood.contact_stiffness * carried)
     return force, stress, 0.0, wood.contact_stiffness / impedance

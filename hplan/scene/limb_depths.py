@@ -16,7 +16,7 @@ from hplan.geometry.cloud import Cloud
 from hplan.scene.limb_parts import TINY, Pushables, depth_and_extension, parts_between, smallest_eigenvalue
 from hplan.scene.limbs import Limbs
 from hplan.scene.obstacle_kind import Solid
-from hplan.scene.wood import LEAST_DEPTH_M, STATIC_SHARE, Wood
+from hplan.scene.wood import LEAST_DEPTH_M, STATIC_SHARE, Wood, limits_by_segment
 
 #: Number of limb parts whose neighbours are found together.
 _TOGETHER: Final = 256
@@ -55,10 +55,10 @@ def permitted_contacts(
     per_depth = pushables.force / np.maximum(whole, 1e-12)  # of the limb alone [N/m]
     most = np.clip(whole, 0.0, pushables.depth)
     found = _neighbours(pushables, most, limbs, hanging, stiff, wood)
-    depth, limit = most.copy(), STATIC_SHARE * wood.contact_force
+    depth, limit = most.copy(), STATIC_SHARE * limits_by_segment(limbs, wood).force[pushables.segment]
     for row in np.unique(found.pushable).tolist():
         mine = found.at(found.pushable == row)
-        depth[row] = _squeezed_depth(float(most[row]), float(per_depth[row]), limit, mine)
+        depth[row] = _squeezed_depth(float(most[row]), float(per_depth[row]), float(limit[row]), mine)
     depth[depth < LEAST_DEPTH_M] = 0.0
     force = per_depth * depth
     pushed_on = np.maximum(0.0, depth[found.pushable] - found.gap)

@@ -45,6 +45,7 @@ from hplan.scene.wood import (
     STALK_M,
     STATIC_SHARE,
     Wood,
+    limits_by_segment,
 )
 
 #: Parts are divided until their depth is this share of that at their middle, or down to this length [m].
@@ -127,16 +128,17 @@ _ARRAYS: Final = Pushables._fields[1:]
 
 def parts_between(limbs: Limbs, numbers: IntArray, low: FloatArray, high: FloatArray, wood: Wood) -> Pushables:
     """Parts of segments between points of their axes."""
-    axis, middle = limbs.axis[numbers], 0.5 * (low + high)
+    axis, middle, limits = limbs.axis[numbers], 0.5 * (low + high), limits_by_segment(limbs, wood)
+    stiffest = limits.stiffest[numbers]
     compliance, slope, rotation = limbs.compliance_along(numbers, middle)
     half = 0.5 * (high - low)[:, None, None]
-    ends = np.stack([compliance - half * slope, compliance + half * slope]) / wood.stiffest
+    ends = np.stack([compliance - half * slope, compliance + half * slope]) / stiffest[:, None, None]
     start, end = (limbs.start[numbers] + at[:, None] * axis for at in (low, high))
     stress = np.maximum(*(limbs.stress_per_force(numbers, point) for point in (start, end)))
-    share = STATIC_SHARE * np.minimum(wood.contact_force, wood.wood_stress / np.maximum(stress, TINY))
+    share = STATIC_SHARE * np.minimum(limits.force[numbers], limits.stress[numbers] / np.maximum(stress, TINY))
     lateral = smallest_eigenvalue(ends, axis, 1e3 * ends.trace(axis1=2, axis2=3).max(axis=0))
     # The deflection per rotation is at least the root of compliance over rotation per moment (Cauchy and Schwarz).
-    per_rotation = np.sqrt(np.maximum(lateral, 0.0) * wood.stiffest / np.maximum(rotation, TINY))
+    per_rotation = np.sqrt(np.maximum(lateral, 0.0) * stiffest / np.maximum(rotation, TINY))
     turned = np.minimum(MOST_ROTATION, share * np.maximum(lateral, 0.0) / np.maximum(per_rotation, TINY))
     share, depth = share / (1.0 + LARGE_ROTATION_FORCE * turned**2), MOST_ROTATION * per_rotation
     return Pushables(
@@ -152,7 +154,7 @@ def hanging_fruits(fruits: Sequence[Fruit], limbs: Limbs, wood: Wood) -> Pushabl
     moves with the limb alone; across it, the fruit swings. A link with the speed v throws it ahead with at most 2 v, so
     that its stalk holds 4 m v^2 / l more.
     """
-    rows = list[tuple[Any, ...]]()
+    rows, limits = list[tuple[Any, ...]](), limits_by_segment(limbs, wood)
     for fruit in fruits:
         if not fruit.is_static:
             continue
@@ -166,10 +168,10 @@ def hanging_fruits(fruits: Sequence[Fruit], limbs: Limbs, wood: Wood) -> Pushabl
         stalk = (np.array(fruit.center) - point) / arm
         weight = GRAVITY * wood.fruit_density * 4.0 / 3.0 * math.pi * fruit.radius**3
         numbers, at = np.array([segment]), np.array([along])
-        limb = limbs.compliance_along(numbers, at)[0][0] / wood.stiffest
+        limb = limbs.compliance_along(numbers, at)[0][0] / float(limits.stiffest[segment])
         swing = arm * math.sqrt(1.0 - MOST_SWING**2) / weight * (np.eye(3) - np.outer(stalk, stalk))
         stress = float(limbs.stress_per_force(numbers, point[None])[0]) if not limbs.clamped[segment] else 0.0
-        force = STATIC_SHARE * min(wood.fruit_force, wood.wood_stress / max(stress, 1e-9))
+        force = STATIC_SHARE * min(wood.of(fruit.name).fruit_force, float(limits.stress[segment]) / max(stress, 1e-9))
         rows.append((fruit.name, segment, (along, along), fruit.center, fruit.center, fruit.radius, stalk,
                      (limb + swing, limb + swing), force, stress, MOST_SWING * arm,
                      4.0 * weight / GRAVITY / arm, weight / GRAVITY))  # fmt: skip

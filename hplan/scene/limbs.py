@@ -276,8 +276,8 @@ class Limbs(Record):
         best = ties.argmin(distance - self.radius[kept])
         return kept[best], float(np.linalg.norm(nearest[best] - self.start[kept[best]])), float(distance[best])
 
-    def flexural_rigidity(self, youngs_modulus: float) -> FloatArray:
-        """(n,) bending stiffness EI of each segment [N m^2]."""
+    def flexural_rigidity(self, youngs_modulus: float | FloatArray) -> FloatArray:
+        """(n,) bending stiffness EI of each segment [N m^2], for one modulus or (n,) of them [Pa]."""
         found: FloatArray = youngs_modulus * 0.25 * math.pi * self.radius**4
         return found
 

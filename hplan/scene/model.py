@@ -15,7 +15,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from hplan.base.arguments import instance, list_of, number
 from hplan.base.arrays import FloatArray, numbers
@@ -41,7 +41,7 @@ from hplan.scene.obstacle_kind import (
 from hplan.scene.obstacles import AnyObstacle, Capsule, Obstacle, Solid, Sphere
 from hplan.scene.robot_source import RobotField
 from hplan.scene.tracks import Movement
-from hplan.scene.wood import Wood
+from hplan.scene.wood import Wood, limits_by_segment
 
 #: Format of scene files, the value of their key `format`.
 FORMAT: Final = "hplan-scene/1"
@@ -296,6 +296,21 @@ class Scene(StrictModel):
         self._check_limbs()
         return self
 
+    @model_validator(mode="after")
+    def _limits_have_limbs(self, info: ValidationInfo) -> Scene:
+        """Check the names of limits where a scene is read: later, its obstacles may be removed."""
+        unknown = self._unknown_limits if "folder" in (info.context or {}) else None
+        if unknown is not None:
+            raise fault(f"{unknown[1]!r} is the name of no limb or fruit", "wood", "limits", unknown[0], "names")
+        return self
+
+    @property
+    def _unknown_limits(self) -> tuple[int, str] | None:
+        """Number and name of the first limits of wood that are for no limb or fruit; None without any."""
+        if self.wood is None or not self.wood.limits:
+            return None
+        return self.wood.unknown_limits([*limbs_of(self.obstacles, self.wood).names, *(f.name for f in self.fruits)])
+
     def _check_limbs(self) -> None:
         """Check that parents are capsules of the scene, and that no limb is its own ancestor."""
         capsules = {obstacle.name for obstacle in self.obstacles if isinstance(obstacle, Capsule)}
@@ -306,7 +321,7 @@ class Scene(StrictModel):
         if self.wood is not None and not grown:
             raise fault("no capsule has a parent; with_limbs(scene, wood) finds them, or --contact-force", "wood")
         if grown and self.wood is not None:
-            limbs_of(self.obstacles, self.wood)
+            limits_by_segment(limbs_of(self.obstacles, self.wood), self.wood)
 
     @property
     def goal_fruit(self) -> Fruit | None:
@@ -671,7 +686,7 @@ def with_limbs(scene: Scene, wood: Wood | None = None) -> Scene:
         wood: Limits and properties; None for the scene's own, or the defaults.
 
     Raises:
-        SceneError: No two capsules touch each other.
+        SceneError: No two capsules touch each other, or `wood.limits` names no limb or fruit.
 
     Examples:
         >>> from hplan.scene import load_scene, with_limbs
@@ -691,7 +706,12 @@ def with_limbs(scene: Scene, wood: Wood | None = None) -> Scene:
             for piece in obstacles
         )
     wood = scene.wood or Wood() if wood is None else instance("wood", wood, Wood)
-    return scene.with_values(obstacles=obstacles, wood=wood)
+    found = scene.with_values(obstacles=obstacles, wood=wood)
+    unknown = found._unknown_limits
+    if unknown is not None:
+        where = f"wood.limits[{unknown[0]}].names"
+        raise SceneError(f"{unknown[1]!r} is the name of no limb or fruit", where=where, value=unknown[1])
+    return found
 
 
 def is_trellis(name: str) -> bool:

@@ -34,6 +34,12 @@ from hplan.scene.tracks import Sway, Track
 Name: TypeAlias = Annotated[str, Field(min_length=1)]
 Sigma: TypeAlias = Annotated[float, Field(ge=0.0, le=FARTHEST_M)]
 
+
+def to_tuple(names: Any) -> Any:
+    """Convert a single name to a tuple."""
+    return (names,) if isinstance(names, str) else names
+
+
 #: Growth of obstacles in standard deviations: one number for all, or one by name (0 for unnamed ones).
 Sigmas: TypeAlias = float | Mapping[str, float]
 

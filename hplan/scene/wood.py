@@ -5,12 +5,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final
+from collections.abc import Collection
+from fnmatch import fnmatchcase
+from functools import lru_cache
+from typing import Annotated, Any, Final, NamedTuple
 
-from pydantic import Field, model_validator
+import numpy as np
+from pydantic import BeforeValidator, Field, model_validator
 
+from hplan.base.arrays import FloatArray
 from hplan.base.checked import StrictModel, fault
-from hplan.scene.limbs import CLAMP_RADIUS_M
+from hplan.errors import SceneError
+from hplan.scene.limbs import CLAMP_RADIUS_M, Limbs
+from hplan.scene.obstacle_kind import Name, to_tuple
 
 #: Share of the limits of force and stress for the deflection; the rest is for impacts.
 STATIC_SHARE: Final = 0.7
@@ -43,6 +50,61 @@ DAMPING_RATIO: Final = 0.05
 _Positive = Annotated[float, Field(gt=0.0, le=1e12)]
 
 
+_Modulus = tuple[_Positive, _Positive]
+
+
+class LimbLimits(StrictModel):
+    """Limits of some limbs and fruit, in place of those of the scene.
+
+    Attributes:
+        names: Names of the limbs and fruit; `*` stands for any characters.
+        contact_force: As in `Wood`, as are all others; None for the scene's.
+        wood_stress_mpa: Holds for all contacts whose force bends one of these limbs.
+        fruit_force: For fruit among the names.
+        youngs_modulus_gpa: Must be the same for all segments of a limb, from its clamp on.
+
+    Examples:
+        >>> from hplan.scene import LimbLimits, Wood
+        >>> wood = Wood(limits=(LimbLimits(names=("tree 2 *",), contact_force=4.0),))
+        >>> wood.of("tree 2 branch 1").contact_force, wood.of("tree 1 branch 1").contact_force
+        (4.0, 10.0)
+    """
+
+    names: Annotated[tuple[Name, ...], BeforeValidator(to_tuple), Field(min_length=1)]
+    contact_force: _Positive | None = None
+    wood_stress_mpa: _Positive | None = None
+    fruit_force: _Positive | None = None
+    youngs_modulus_gpa: _Modulus | None = None
+
+    @model_validator(mode="after")
+    def _states_a_limit(self) -> LimbLimits:
+        if not self.given:
+            raise ValueError(f"give at least one of {', '.join(_OVERRIDDEN)}")
+        _check_interval(self.youngs_modulus_gpa)
+        return self
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """The limits that are given."""
+        values = {key: getattr(self, key) for key in _OVERRIDDEN}
+        return {key: value for key, value in values.items() if value is not None}
+
+    def is_for(self, name: str) -> bool:
+        """True if the limits hold for the limb or fruit of a name."""
+        return any(fnmatchcase(name, each) for each in self.names)
+
+
+#: Limits of force and stress, and all fields of `LimbLimits`.
+_LIMITS: Final = ("contact_force", "wood_stress_mpa", "fruit_force")
+_OVERRIDDEN: Final = (*_LIMITS, "youngs_modulus_gpa")
+
+
+def _check_interval(modulus_gpa: _Modulus | None) -> None:
+    if modulus_gpa is not None and modulus_gpa[0] > modulus_gpa[1]:
+        low, high = modulus_gpa
+        raise fault(f"expected the minimum first, got {low:g} and {high:g}", "youngs_modulus_gpa")
+
+
 class Wood(StrictModel):
     """Limits for contact with wood and fruit, and the mechanical properties that they are bounded with.
 
@@ -60,6 +122,7 @@ class Wood(StrictModel):
         fruit_density: Density of fruit [kg/m^3].
         contact_stiffness: Stiffness of the contact between link and limb, for impacts [N/m].
         capture_range: Maximum displacement of the goal fruit at the grasp by the limbs that are pushed [m].
+        limits: Limits of single limbs and fruit in place of these; of several for one name the last one holds.
 
     Examples:
         >>> from hplan.scene import Wood
@@ -70,19 +133,31 @@ class Wood(StrictModel):
     contact_force: _Positive = 10.0
     wood_stress_mpa: _Positive = 30.0
     fruit_force: _Positive = 8.0
-    youngs_modulus_gpa: tuple[_Positive, _Positive] = (0.7, 5.0)
+    youngs_modulus_gpa: _Modulus = (0.7, 5.0)
     clamp_radius: _Positive = CLAMP_RADIUS_M
     density: _Positive = 1000.0
     fruit_density: _Positive = 850.0
     contact_stiffness: _Positive = 2000.0
     capture_range: _Positive = 0.02
+    limits: tuple[LimbLimits, ...] = ()
 
     @model_validator(mode="after")
     def _is_interval(self) -> Wood:
-        low, high = self.youngs_modulus_gpa
-        if low > high:
-            raise fault(f"expected the minimum first, got {low:g} and {high:g}", "youngs_modulus_gpa")
+        _check_interval(self.youngs_modulus_gpa)
         return self
+
+    def of(self, name: str) -> Wood:
+        """The wood with the limits of one limb or fruit."""
+        given = [each.given for each in self.limits if each.is_for(name)]
+        return self.copy_unchecked({key: value for each in given for key, value in each.items()}) if given else self
+
+    def unknown_limits(self, names: Collection[str]) -> tuple[int, str] | None:
+        """The first of `limits`, and its name, that is for none of some limbs and fruit; None without any."""
+        for number, each in enumerate(self.limits):
+            for pattern in each.names:
+                if not any(fnmatchcase(name, pattern) for name in names):
+                    return number, pattern
+        return None
 
     @property
     def wood_stress(self) -> float:
@@ -101,8 +176,12 @@ class Wood(StrictModel):
 
     def scale(self, share: float) -> Wood:
         """The same wood with a fraction of the limits of force and stress."""
-        limits = ("contact_force", "wood_stress_mpa", "fruit_force")
-        return self.with_values(**{key: share * getattr(self, key) for key in limits})
+        scaled = {key: share * getattr(self, key) for key in _LIMITS}
+        scaled["limits"] = tuple(
+            each.with_values(**{key: share * value for key, value in each.given.items() if key in _LIMITS})
+            for each in self.limits
+        )
+        return self.with_values(**scaled)
 
     @property
     def as_rigid(self) -> Wood:
@@ -112,3 +191,42 @@ class Wood(StrictModel):
 
 #: Fraction of the limits within which no limb yields.
 _NOTHING: Final = 1e-9
+
+
+class SegmentLimits(NamedTuple):
+    """Limits and properties by limb segment.
+
+    Attributes:
+        force: (n,) maximum force on it [N].
+        stress: (n,) maximum bending stress of all segments on its path to the clamp [Pa].
+        softest: (n,) minimum of Young's modulus [Pa].
+        stiffest: (n,) maximum of Young's modulus [Pa].
+    """
+
+    force: FloatArray
+    stress: FloatArray
+    softest: FloatArray
+    stiffest: FloatArray
+
+
+@lru_cache(maxsize=8)
+def limits_by_segment(limbs: Limbs, wood: Wood) -> SegmentLimits:
+    """Limits and properties of each limb segment.
+
+    Raises:
+        SceneError: Segments of one limb differ in Young's modulus.
+    """
+    each = [wood.of(name) for name in limbs.names] if wood.limits else [wood] * len(limbs.names)
+    force, stress, softest, stiffest = (
+        np.array([getattr(one, key) for one in each], dtype=np.float64)
+        for key in ("contact_force", "wood_stress", "softest", "stiffest")
+    )
+    for row in limbs.order.tolist() if wood.limits else ():
+        on = int(limbs.parent[row])
+        if on < 0 or limbs.clamped[row] or limbs.clamped[on]:
+            continue
+        stress[row] = min(stress[row], stress[on])
+        if (softest[row], stiffest[row]) != (softest[on], stiffest[on]):
+            reason = f"{limbs.names[row]!r} and {limbs.names[on]!r} are one limb, which has one Young's modulus"
+            raise SceneError(reason, where="wood.limits", value=each[row].youngs_modulus_gpa)
+    return SegmentLimits(force, stress, softest, stiffest)

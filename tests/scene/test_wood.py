@@ -9,7 +9,20 @@ import pytest
 
 from hplan.certificate.digests import scene_digest
 from hplan.errors import SceneError
-from hplan.scene import Box, Capsule, Fruit, Goal, Scene, Start, Wood, dump_scene, load_scene, parse_scene, with_limbs
+from hplan.scene import (
+    Box,
+    Capsule,
+    Fruit,
+    Goal,
+    LimbLimits,
+    Scene,
+    Start,
+    Wood,
+    dump_scene,
+    load_scene,
+    parse_scene,
+    with_limbs,
+)
 from hplan.scene.limb_contacts import contact_solids, limbs_of
 from hplan.scene.obstacle_kind import ContactLimit
 from hplan.scene.wood import LARGE_ROTATION_FORCE, MOST_ROTATION, STATIC_SHARE
@@ -203,3 +216,78 @@ def test_wires_and_posts_are_no_limbs() -> None:
     assert any(parents.values())
     assert not any(parent for name, parent in parents.items() if name.startswith(("wire", "post")))
     assert all(limb.meets == "all" for limb in scene.listed_solids if limb.name.startswith("wire"))
+
+
+FORK = Capsule(name="fork", start=(0.2, 0.0, 1.0), end=(0.2, 0.0, 1.3), radius=0.003, parent="twig")
+OTHER = Capsule(name="shoot", start=(0.0, 0.0, 1.5), end=(0.4, 0.0, 1.5), radius=0.004, parent="trunk")
+APPLE = Fruit(name="apple", center=(0.4, 0.0, 1.44), radius=0.03)
+
+
+def limits_of(wood: Wood) -> dict[str, list[ContactLimit]]:
+    found = contact_solids((TRUNK, TWIG, FORK, OTHER), (APPLE,), wood)
+    return {name: [limit_of(solid) for solid in solids if solid.contact_limit] for name, solids in found.items()}
+
+
+def test_limits_by_name_replace_those_of_the_scene() -> None:
+    usual = limits_of(Wood())
+    limits = (LimbLimits(names=("tw*",), contact_force=2.0), LimbLimits(names=("apple",), fruit_force=1.0))
+    other = limits_of(Wood(limits=limits))
+    assert other["shoot"] == usual["shoot"] == limits_of(Wood(contact_force=10.0))["shoot"]
+    assert {limit.most_force for limit in other["twig"]} == {2.0}
+    assert [limit[:3] for limit in other["twig"]] == [limit[:3] for limit in limits_of(Wood(contact_force=2.0))["twig"]]
+    assert other["apple"][0].most_force == 1.0
+    assert other["apple"][0].force <= STATIC_SHARE < usual["apple"][0].force
+
+
+def test_the_stress_limit_of_a_limb_holds_for_all_contacts_that_bend_it() -> None:
+    other = limits_of(Wood(limits=(LimbLimits(names=("twig",), wood_stress_mpa=5.0),)))
+    assert {limit.most_stress for name in ("twig", "fork") for limit in other[name]} == {5e6}
+    assert {limit.most_stress for limit in other["shoot"]} == {30e6}
+    assert max(limit.stress for limit in other["fork"]) <= STATIC_SHARE * 5e6
+    assert max(limit.stress for limit in limits_of(Wood())["fork"]) > STATIC_SHARE * 5e6
+
+
+def test_a_limb_of_softer_wood_yields_more_and_is_one_limb() -> None:
+    soft = LimbLimits(names=("twig", "fork"), youngs_modulus_gpa=(0.5, 1.0))
+    found, all_soft = limits_of(Wood(limits=(soft,))), limits_of(Wood(youngs_modulus_gpa=(0.5, 1.0)))
+    for name in ("twig", "fork"):
+        assert [limit[:10] for limit in found[name]] == [limit[:10] for limit in all_soft[name]]
+    assert found["shoot"] == limits_of(Wood())["shoot"]
+    with pytest.raises(SceneError, match="are one limb, which has one Young's modulus"):
+        scene_of((TRUNK, TWIG, FORK), Wood(limits=(LimbLimits(names=("fork",), youngs_modulus_gpa=(0.5, 1.0)),)))
+
+
+def test_limits_by_name_are_saved_scaled_and_part_of_the_digest() -> None:
+    limits = (LimbLimits(names=("twig", "sh*"), contact_force=2.0), LimbLimits(names=("shoot",), contact_force=3.0))
+    scene = scene_of((TRUNK, TWIG, OTHER), Wood(limits=limits))
+    assert parse_scene(dump_scene(scene)) == scene
+    assert scene_digest(scene) != scene_digest(scene_of((TRUNK, TWIG, OTHER)))
+    assert scene.wood is not None
+    assert [scene.wood.of(name).contact_force for name in ("twig", "shoot", "trunk")] == [2.0, 3.0, 10.0]
+    assert [scene.wood.scale(0.5).of(name).contact_force for name in ("twig", "shoot", "trunk")] == [1.0, 1.5, 5.0]
+    assert not any(
+        s.yields for solids in contact_solids(scene.obstacles, (), scene.wood.as_rigid).values() for s in solids
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("{names: twigs, contact_force: 2}", r"wood.limits\[0\].names"),
+        ("{names: twig}", r"wood.limits\[0\]"),
+        ("{names: [], contact_force: 2}", r"wood.limits\[0\].names"),
+        ("{names: twig, contact_force: -2}", r"wood.limits\[0\].contact_force"),
+        ("{names: twig, youngs_modulus_gpa: [2, 1]}", r"wood.limits\[0\].youngs_modulus_gpa"),
+        ("{names: twig, force: 2}", r"wood.limits\[0\].force"),
+    ],
+)
+def test_limits_that_cannot_hold_are_refused(text: str, where: str) -> None:
+    good = dump_scene(scene_of((TRUNK, TWIG), Wood(contact_force=5.0)))
+    with pytest.raises(SceneError, match=where):
+        parse_scene(good.replace("limits: []", f"limits: [{text}]"))
+
+
+def test_limits_for_no_limb_are_refused() -> None:
+    wood = Wood(limits=(LimbLimits(names=("twig", "twigs"), contact_force=2.0),))
+    with pytest.raises(SceneError, match="'twigs' is the name of no limb or fruit"):
+        with_limbs(scene_of((TRUNK, TWIG)), wood)

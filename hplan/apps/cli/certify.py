@@ -153,6 +153,7 @@ def _fill_in(arguments: argparse.Namespace, job: FinishedJob | None) -> None:
         "goal_contact": "motion" if settings.get("goal_contact") == "motion" else "approach",
         "yield_links": settings.get("yield_links"),
         **{name: settings.get("wood", {}).get(name) for name in WOOD},
+        "limb_limits": settings.get("wood", {}).get("limits"),
     }
     for name, value in defaults.items():
         if getattr(arguments, name) is None:

@@ -8,7 +8,7 @@ import math
 import re
 import sys
 import textwrap
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from hplan.robot.tracking import TrackingModel
     from hplan.scene.model import Scene
     from hplan.scene.robot_source import RobotSource
+    from hplan.scene.wood import LimbLimits
 
 
 #: Default output folder.
@@ -118,6 +119,9 @@ _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
         {"dest": "wood_stress_mpa", "type": float, "metavar": "MPA"}),
     ("wood", "--fruit-force", "maximum force on the stalk of a fruit that is pushed aside in newtons (default: the "
         "scene's, else 8)", {"type": float, "metavar": "N"}),
+    ("wood", "--limb-limits", "limits of the limbs and fruit with these names (* for any characters) in place of those "
+        "of all: contact-force=N, wood-stress=MPA, fruit-force=N, youngs-modulus=GPA:GPA; may be repeated",
+        {"nargs": "+", "action": "append", "metavar": ("NAMES", "LIMIT=VALUE")}),
     ("gentle", "--gentle", "push limbs with as little force as motions do that take at most 5 %% longer",
         {"action": "store_true"}),
     ("pace", "--rate", "samples per second in the CSV (default: 250)",
@@ -229,20 +233,55 @@ def scene_among(
 #: Destinations of the options of limbs.
 WOOD = ("contact_force", "wood_stress_mpa", "fruit_force")
 
+#: Fields of `LimbLimits` by the names in `--limb-limits`.
+_LIMB_LIMITS = {
+    "contact-force": "contact_force",
+    "wood-stress": "wood_stress_mpa",
+    "fruit-force": "fruit_force",
+    "youngs-modulus": "youngs_modulus_gpa",
+}
+
 
 def scene_with_wood(arguments: argparse.Namespace, scene: Scene) -> Scene:
-    """A scene with the limits of `--contact-force`, `--wood-stress` and `--fruit-force`, if one of them is given.
+    """A scene with the limits of `--contact-force` and the other options of limbs, if one of them is given.
 
     Raises:
-        SceneError: A limit is not positive, or the scene has no limbs.
+        OptionError: A value of `--limb-limits` is malformed.
+        SceneError: A limit is not positive, the scene has no limbs, or `--limb-limits` names none.
     """
-    given = {key: getattr(arguments, key) for key in WOOD if getattr(arguments, key) is not None}
-    if not given:
+    given: dict[str, Any] = {key: getattr(arguments, key) for key in WOOD if getattr(arguments, key) is not None}
+    limits = tuple(map(_limb_limits, arguments.limb_limits or ()))
+    if not given and not limits:
         return scene
     from hplan.scene.model import with_limbs
     from hplan.scene.wood import Wood
 
-    return with_limbs(scene, (scene.wood or Wood()).with_values(**given))
+    wood = scene.wood or Wood()
+    new = (each for each in limits if each not in wood.limits)
+    return with_limbs(scene, wood.with_values(**given, limits=(*wood.limits, *new)))
+
+
+def _limb_limits(words: Sequence[str] | Mapping[str, Any]) -> LimbLimits:
+    """Limits from the words of `--limb-limits`, or as in a report.
+
+    Raises:
+        OptionError: A word is not of the form LIMIT=VALUE with numbers.
+        SceneError: A value is not permitted.
+    """
+    from hplan.scene.wood import LimbLimits
+
+    if not isinstance(words, Sequence):
+        return LimbLimits(**words)
+    found: dict[str, Any] = {}
+    for text in words[1:]:
+        name, _, value = text.partition("=")
+        try:
+            numbers = tuple(map(float, value.split(":")))
+            found[_LIMB_LIMITS[name]] = numbers if name == "youngs-modulus" else float(value)
+        except (KeyError, ValueError):
+            expected = f"NAMES, then LIMIT=VALUE with one of {', '.join(_LIMB_LIMITS)}"
+            raise OptionError("--limb-limits", text, expected) from None
+    return LimbLimits(names=(words[0],), **found)
 
 
 def held_joints(arguments: argparse.Namespace) -> dict[str, float]:

@@ -35,7 +35,7 @@ from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.checked import NotNegative, Options, Positive
 from hplan.scene.fruit import Fruit
 from hplan.scene.limbs import TWIST_RATIO, Limbs
-from hplan.scene.wood import GRAVITY, STALK_M, Wood
+from hplan.scene.wood import GRAVITY, STALK_M, Wood, limits_by_segment
 
 #: Position of an element's first joint, as a share of its length; the second one is at 1 minus this.
 GAUSS_POINT: Final = 0.5 - 0.5 / math.sqrt(3.0)
@@ -59,7 +59,7 @@ class BendingTrees(Options):
     """Properties of simulated trees.
 
     Attributes:
-        youngs_modulus_gpa: Young's modulus of the wood [GPa]; None for the largest one of the scene's interval.
+        youngs_modulus_gpa: Young's modulus of the wood [GPa]; None for the largest one of each limb's interval.
         damping_ratio: Damping ratio of the first mode of each limb, and of fruit on their stalks.
         wood_strength_mpa: Bending stress at which a limb counts as broken [MPa].
         stalk_strength_n: Force at which a stalk breaks [N].
@@ -79,9 +79,11 @@ class BendingTrees(Options):
     friction: NotNegative = 0.0
     wind: Wind | None = None
 
-    def youngs_modulus(self, wood: Wood) -> float:
-        """Young's modulus [Pa]."""
-        return wood.stiffest if self.youngs_modulus_gpa is None else 1e9 * self.youngs_modulus_gpa
+    def youngs_modulus(self, limbs: Limbs, wood: Wood) -> FloatArray:
+        """(n,) Young's modulus of limb segments [Pa]."""
+        if self.youngs_modulus_gpa is None:
+            return limits_by_segment(limbs, wood).stiffest
+        return np.full(len(limbs.names), 1e9 * self.youngs_modulus_gpa)
 
 
 def divide_segment(length: float, radius: float, nodes: Sequence[float] = ()) -> FloatArray:
@@ -169,7 +171,7 @@ class WoodBodies:
         self.fruits: list[Fruit] = []
         self.joints = _Joints()
         self._mujoco, self._meets = mujoco, meets
-        self._rigidity = limbs.flexural_rigidity(trees.youngs_modulus(wood))
+        self._rigidity = limbs.flexural_rigidity(trees.youngs_modulus(limbs, wood))
         self._stations: dict[int, tuple[FloatArray, list[Carrier]]] = {}
         self._ground = Carrier(spec.worldbody, np.zeros(3))
 

@@ -52,7 +52,8 @@ class LimbContact:
     is_fruit: bool = False
 
     def is_within(self, wood: Wood) -> bool:
-        """True if force and stress are within the limits."""
+        """True if force and stress are within the limits of this limb or fruit."""
+        wood = wood.of(self.limb)
         limit = wood.fruit_force if self.is_fruit else wood.contact_force
         return self.force_n <= limit and self.stress_mpa <= wood.wood_stress_mpa
 

@@ -77,6 +77,10 @@ _BOUNDED_LOOKS = 256
 #: fraction of a millisecond.
 CHECKS, CHECKS_PER_PIECE, _CHECKS_BETWEEN_LOOKS = 20_000, 50, 16
 
+#: Number of coal queries after which the rest of the motion is searched for a contact, and approximate minimum of
+#: configurations in a search of a whole motion.
+SEARCHED_AFTER, SAMPLES = 1_000, 199
+
 #: Outcome of a proof: the clearance is certified, a pair is too near, or the budget of queries or of travel is used up.
 Outcome: TypeAlias = Literal["shown", "too near", "checks", "travel"]
 
@@ -140,10 +144,14 @@ def prove_clearance(
     if search.bounded < len(bezier):
         return search.worst("travel")
     budget = CHECKS + CHECKS_PER_PIECE * len(bezier)
-    look = search.first_query()
+    look, is_searched = search.first_query(), False
     while look[1] < math.inf:
         if search.checks % _CHECKS_BETWEEN_LOOKS == 0 or not len(look[0]):
             check_deadline()
+        if search.checks >= SEARCHED_AFTER and not is_searched:
+            found, is_searched = search.worst("too near"), True
+            if search.is_violated:
+                return found
         if search.looks >= budget:
             return search.worst("checks")
         following = search.next_query(look)
@@ -192,6 +200,7 @@ class Advancement:
         looks: Number of all queries, lower bounds included.
         nearest: The minimum distance found [m], its pair and its place.
         bounded: Number of segments, from the first one on, with bounded travel.
+        is_violated: True if a sample of `worst` is nearer than required.
     """
 
     def __init__(
@@ -236,6 +245,7 @@ class Advancement:
         self.mover_of = mover_of
         self._ahead, self.checks, self.looks = _AHEAD, 0, 0
         self.nearest = math.inf, 0, 0.0
+        self.is_violated = False
 
     def place(self, q: FloatArray, at: float) -> None:
         """Place the arm at the configuration of a place."""
@@ -322,36 +332,47 @@ class Advancement:
         return self._checker.contact(*self._checker.pairs[pair], distance - float(self.pairs[5, pair]))
 
     def worst(self, outcome: Outcome) -> Proof:
-        """Report of a failed proof: the minimum distance at the remaining samples.
+        """Report of a failed proof: the minimum distance at samples of the rest of the motion.
 
         A pair is skipped until its moving body has travelled as much as the pair was farther away than the nearest one.
         """
-        mover_of, (sway_at_rows, travel) = self.mover_of, self.movers
+        mover_of, (sway, travel) = self.mover_of, self.movers
         rows, least = len(self._bezier), min((bound for _, bound in self.own_bounds()), default=math.inf)
+        # Bezier points between the samples may be NaN if the travel is not bounded.
+        share = 1 if outcome == "travel" else max(1, SAMPLES // rows)
         shown = min(*self._places(), float(rows))
-        first = min(int(shown), rows - 1)
         end = shown if outcome != "travel" else float(self.bounded)
+        first = min(int(shown * share), rows * share - 1)
         due = [(first, pair) for pair in range(len(self._checker.pairs))]
         while due:
             check_deadline()
-            row = due[0][0]
-            # Bezier points between the samples may be NaN.
-            self.place(self._bezier[row, 0] if row < rows else self._bezier[-1, -1], float(row))
+            sample = due[0][0]
+            at = sample / share
+            self.place(self._bezier[-1, -1] if at >= rows else _at_sample(self._bezier, sample, share), at)
             pairs = []
-            while due and due[0][0] == row:
+            while due and due[0][0] == sample:
                 pairs.append(heapq.heappop(due)[1])
             for pair, distance in zip(pairs, self._checker.distances_of(np.array(pairs)).tolist(), strict=True):
-                nearer = distance + float(self._counted[pair]) - float(sway_at_rows[mover_of[pair], row])
-                distance = self._see(distance, pair, float(row))
+                displacement = float(_linear(sway[mover_of[pair]], at))
+                self.is_violated |= distance - displacement <= self.pairs[0, pair]
+                nearer = distance + float(self._counted[pair]) - displacement
+                distance = self._see(distance, pair, at)
                 least = min(least, nearer)
                 farther = min(distance - self.nearest[0], nearer - least)
-                ahead = place_after(travel[mover_of[pair]], float(row), farther)
-                following = max(math.ceil(min(ahead, rows + 1.0)), row + 1)
-                if following <= rows:
+                ahead = place_after(travel[mover_of[pair]], at, farther)
+                following = max(math.ceil(min(ahead, rows + 1.0) * share), sample + 1)
+                if following <= rows * share:
                     heapq.heappush(due, (following, pair))
         near = self.contact()
         least = min(least, near.distance_m + float(self._counted[self.nearest[1]]))
         return Proof(outcome, least, near, self.checks, end, self.nearest[2])
+
+
+def _at_sample(bezier: FloatArray, sample: int, share: int) -> FloatArray:
+    """Configuration at a sample, with a number of samples in each segment."""
+    piece, part = divmod(sample, share)
+    found: FloatArray = point_at(bezier, sample / share) if part else bezier[piece, 0]
+    return found
 
 
 @kernel

@@ -172,6 +172,22 @@ def test_controller_gets_verified_goals_only(client: Client, motion: hplan.PlanR
     controller.destroy()
 
 
+def test_undecided_motions_are_held_back(client: Client, motion: hplan.PlanResult) -> None:
+    from std_msgs.msg import String
+    from trajectory_msgs.msg import JointTrajectory
+
+    late = ("-p", "deadline_s:=1e-6")
+    with node_process("judge", "--ros-args", "-p", "scene:=table-1", "-p", "robot:=harvester", *late):
+        verdicts = client.collect(String, f"{JUDGE}/verdict")
+        relayed = client.collect(JointTrajectory, f"{JUDGE}/verified_trajectory")
+        plain = client.connect(client.node.create_publisher(JointTrajectory, f"{JUDGE}/trajectory", 10))
+        plain.publish(to_message(JointTrajectory, around(motion)))
+        client.wait(lambda: verdicts)
+        client.spin(0.2)
+        assert json.loads(verdicts[0].data)["violations"] == ["not decided within 1e-06 s"]
+        assert not relayed
+
+
 def test_robot_from_its_topics_and_joints_at_rest(client: Client, motion: hplan.PlanResult) -> None:
     import rclpy
     from sensor_msgs.msg import JointState

@@ -19,7 +19,7 @@ from hplan.apps.ros.controller import command_message, outcome_of
 from hplan.apps.ros.judge import Judge, JudgeOptions
 from hplan.apps.ros.scene_updates import SceneUpdates
 from hplan.apps.ros.session import Session, SessionOptions
-from hplan.errors import HplanError, InputError
+from hplan.errors import HplanError, InputError, OptionError
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
@@ -195,6 +195,15 @@ def test_verdict_on_several_motions_and_faults(around: tuple[Robot, Scene, dict[
     begins = Judge(robot, scene, JudgeOptions(start_tolerance=0.01))
     begins.arm.see({"name": message["joint_names"], "position": [0.5, *message["points"][0]["positions"][1:]]}, 0.0)
     assert "the arm is at 0.5" in begins.judge(message).violations[0]
+
+
+def test_verdict_in_time_or_not_verified(around: tuple[Robot, Scene, dict[str, Any]]) -> None:
+    robot, scene, message = around
+    late = Judge(robot, scene, JudgeOptions(deadline_s=1e-6)).judge(message)
+    assert (late.verified, late.violations) == (False, ("not decided within 1e-06 s",))
+    assert Judge(robot, scene, JudgeOptions(deadline_s=60.0)).judge(message).verified
+    with pytest.raises(OptionError, match="deadline_s"):
+        JudgeOptions(deadline_s=0.0)
 
 
 def test_verdict_waits_for_the_planning_scene(around: tuple[Robot, Scene, dict[str, Any]]) -> None:

@@ -91,6 +91,20 @@ def test_near_miss_is_verified_and_its_clearance_close(robot, scene):
     assert refused.min_clearance_m == pytest.approx(0.0101, abs=2e-5)  # the distance where the proof failed
 
 
+def test_contact_after_a_long_graze_is_found_early(robot, scene):
+    count = 201
+    yaw, drop = np.linspace(0.0, 1.5, count), np.clip(np.linspace(-9.0, 1.0, count), 0.0, None)
+    position = np.column_stack([yaw, np.zeros(count), np.zeros(count), -0.3 * drop])
+    velocity = np.zeros((count, 4))
+    trajectory = rows(robot, np.linspace(0.0, 3.0, count), position, velocity)
+    table = Box(name="table", center=(1.4, 0.0, 0.6 - 0.05 - 2e-5 - 0.1), size=(2.6, 5.0, 0.2))
+    certificate = certify(robot, scene.with_obstacles([table]), trajectory)
+    assert not certificate.verified
+    assert certificate.nearest_s is None
+    assert certificate.min_clearance_m < -0.05
+    assert certificate.checks < 3_000
+
+
 def test_contact_at_an_end_is_refused(robot, scene):
     inside = np.radians([0, 52, 0, 0])
     checker = CoalScene(robot, scene.solids)

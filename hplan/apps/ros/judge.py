@@ -20,9 +20,9 @@ from hplan.apps.ros.arm_state import ArmState
 from hplan.apps.ros.fields import fields_of, is_message
 from hplan.apps.ros.joint_messages import from_joint_trajectory, joint_trajectories
 from hplan.apps.ros.scene_updates import SceneUpdates
-from hplan.base.checked import NotNegative, Options
+from hplan.base.checked import NotNegative, Options, Positive
+from hplan.base.deadline import TimeIsUpError, time_limit
 from hplan.certificate.certificate import Certificate, certify, limit_violations
-from hplan.certificate.configuration_check import check
 from hplan.errors import HplanError
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
@@ -31,9 +31,6 @@ from hplan.trajectory.trajectory import Trajectory
 
 #: A limit that a verdict may require.
 Limit = Literal["position", "velocity", "acceleration", "torque"]
-
-#: Number of configurations at which the depth of contacts is measured.
-SAMPLES = 200
 
 #: Two motions of one message follow each other without a jump [rad, m if prismatic].
 _SAME = 1e-3
@@ -52,6 +49,7 @@ class JudgeOptions(Options):
         moving_ends: Whether the motion may begin or end in motion.
         start_tolerance: Maximum distance of each joint from the motion's start [rad, m]; 0 for no check.
         joint_prefix: Prefix of the joints' names in messages.
+        deadline_s: Maximum time of a verdict [s]; motions that are not decided by then are not verified.
     """
 
     clearance_m: NotNegative = 0.0
@@ -62,6 +60,7 @@ class JudgeOptions(Options):
     moving_ends: bool = False
     start_tolerance: NotNegative = 0.0
     joint_prefix: str = ""
+    deadline_s: Positive = 5.0
 
 
 @dataclass(frozen=True)
@@ -71,13 +70,12 @@ class Verdict:
     Attributes:
         verified: True if everything that is required is proved, for all times.
         violations: One message for each requirement that is not verified.
-        time_s: Time of the nearest pair, from the start of the first motion [s]; of the first pair that comes too near,
-            if the clearance is not verified. None without a pair.
+        time_s: Time of the nearest pair found, from the start of the first motion [s]. None without a pair.
         link: Link of that pair.
         obstacle: Obstacle, or other link of the arm.
         distance_m: Minimum distance found, negative in contact [m].
-        depth_m: Maximum depth found at `SAMPLES` configurations of a motion whose clearance is not verified [m]; 0
-            without contact.
+        depth_m: Maximum depth found at the points of a motion whose clearance is not verified, or at up to 199 of its
+            configurations if it has fewer [m]; 0 without contact.
         deepest_s: Time of the maximum depth [s]; None without contact.
         clearance_m: Certified clearance of a verified motion [m]; infinite without obstacles.
         limits: Maximum use of each limit, as a fraction.
@@ -165,7 +163,10 @@ class Judge:
         """
         began = time.perf_counter()
         try:
-            found = self._judge(message)
+            with time_limit(self.options.deadline_s):
+                found = self._judge(message)
+        except TimeIsUpError:
+            found = Verdict(False, (f"not decided within {self.options.deadline_s:g} s",))
         except HplanError as error:
             found = Verdict(False, (error.message,))
         return replace(found, judged_ms=round(1e3 * (time.perf_counter() - began), 3))
@@ -258,33 +259,19 @@ class Judge:
         violations = tuple(words for words in certificate.violations if words not in ignored)
         nearest, at_s = certificate.nearest, _nearest_time_s(certificate)
         distance_m = math.inf if nearest is None else nearest.distance_m
-        deepest_s = None
-        if not _has_clearance(certificate) and not scene.moves:
-            clock = np.linspace(0.0, motion.duration, SAMPLES)
-            distances = check(self.robot, scene, motion.positions(clock)).distance_m
-            lowest = int(distances.argmin())
-            distance_m = min(distance_m, float(distances[lowest]))
-            deepest_s = begin_s + float(clock[lowest]) if distances[lowest] < 0.0 else None
+        time_s = None if at_s is None else begin_s + at_s
         return Verdict(
             verified=not violations,
             violations=violations,
-            time_s=None if at_s is None else begin_s + at_s,
+            time_s=time_s,
             link="" if nearest is None else nearest.link,
             obstacle="" if nearest is None else nearest.obstacle,
             distance_m=distance_m,
             depth_m=max(0.0, -distance_m),
-            deepest_s=deepest_s,
+            deepest_s=time_s if distance_m < 0.0 else None,
             clearance_m=math.inf if violations else certificate.min_clearance_m,
             limits={name: float(use) for name, use in vars(certificate.limit_use).items()},
         )
-
-
-def _has_clearance(certificate: Certificate) -> bool:
-    """True if the clearance is proved over the whole motion."""
-    subject = certificate.subject
-    return subject is not None and all(
-        stretch.proof.is_certified for motion, _ in subject.motions for stretch in motion.stretches
-    )
 
 
 def _nearest_time_s(certificate: Certificate) -> float | None:

@@ -66,8 +66,7 @@ from hplan.certificate.task_check import task_violations
 from hplan.certificate.tilted_base import use_on_track
 from hplan.certificate.touch_risk import TouchRisk, touch_risk
 from hplan.certificate.turning_in_place import clearance_in_place
-from hplan.collision.coal_arm import BASE_DEPTH
-from hplan.collision.coal_scene import CoalScene, Contact, OwnContact, base_contacts
+from hplan.collision.coal_scene import CoalScene, Contact, OwnContact
 from hplan.collision.compliant_solids import check_yield_links
 from hplan.collision.far_obstacles import warn_of_far_obstacles
 from hplan.collision.held_objects import holding
@@ -312,7 +311,7 @@ def certify(
             if contact.is_with(scene.fruits) and not any(known.covers(contact) for known in allowed):
                 allowed.append(contact)
         allowed.sort(key=lambda contact: contact.span_s)
-        violations += base_violations(robot, scene, checker, trajectory, begin_s)
+        violations += base_violations(robot, checker, trajectory, begin_s)
         violations += end_violations(checker, trajectory.position[-1], scene.clearance)
     instance("checker", checker, CoalScene, "CoalScene")
     if check_ends:
@@ -396,21 +395,17 @@ def _pieces(trajectory: Trajectory) -> FloatArray:
     return bezier
 
 
-def base_violations(
-    robot: Robot, scene: Scene, checker: CoalScene, trajectory: Trajectory, begin_s: float
-) -> Iterator[str]:
+def base_violations(robot: Robot, checker: CoalScene, trajectory: Trajectory, begin_s: float) -> Iterator[str]:
     """Messages about obstacles that penetrate the base during a motion.
 
     Args:
-        checker: Collision checker of the arm among the obstacles, in the order of the scene.
+        checker: Collision checker of the arm among the obstacles.
         trajectory: The motion.
-        begin_s: Start time of the motion on the clock of the scene's tracks [s].
+        begin_s: Start time of the motion on the clock of the obstacles' movements [s].
     """
-    still = scene.listed_solids
     if checker.moving is not None:
-        still = tuple(solid for number, solid in enumerate(still) if number not in checker.moving.numbers)
         yield from moving_base_contacts(robot, checker.moving, begin_s, begin_s + trajectory.duration)
-    for found in base_contacts(robot, still, margin=-BASE_DEPTH):
+    for found in checker.base_contacts:
         depth = f"{-1e3 * found.distance_m:.3g} mm deep in the robot's {found.link!r}, which does not move"
         yield f"obstacle {found.obstacle!r} is {depth}"
 

@@ -133,7 +133,7 @@ def certified_from(
         rest_to_rest=False,
         begin_s=begin_s,
     )
-    found = with_violations(found, base_violations(robot, scene, checker, motion, begin_s))
+    found = with_violations(found, base_violations(robot, checker, motion, begin_s))
     return on_track(found, robot, scene, begin_s, motion.duration)
 
 

@@ -17,7 +17,15 @@ from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, TableArray, frozen
 from hplan.base.deadline import check_deadline
 from hplan.collision.coal_accuracy import distance_errors
-from hplan.collision.coal_arm import ArmPair, arm_parts, base_bodies, moving_bodies, supports
+from hplan.collision.coal_arm import (
+    BASE_DEPTH,
+    ArmPair,
+    arm_parts,
+    base_bodies,
+    base_radius,
+    moving_bodies,
+    supports,
+)
 from hplan.collision.coal_boxes import (
     ANYWHERE,
     boxes_about,
@@ -229,6 +237,15 @@ class CoalScene:
             row[:3] = 0.5 * (low + high)
             row[3] = 0.5 * float(np.linalg.norm(high - low)) + solid.rounding + growth
         return found
+
+    @cached_property
+    def base_contacts(self) -> tuple[Contact, ...]:
+        """Contacts of the obstacles that do not move with the base, if deeper than `BASE_DEPTH`."""
+        balls, moving = self.obstacle_balls, () if self.moving is None else self.moving.numbers
+        in_reach = np.linalg.norm(balls[:, :3], axis=1) <= balls[:, 3] + base_radius(self.robot)
+        in_reach[list(moving)] = False
+        close = [self._built["obstacles"][number] for number in np.flatnonzero(in_reach)]
+        return base_contacts(self.robot, close, margin=-BASE_DEPTH)
 
     def with_margins(self, deviation: float, clearance: float) -> CoalScene:
         """Checker with the pairs required by tracking error and clearance.

@@ -181,9 +181,12 @@ class RunningMotion:
         scene = self._scene.starting_at(float(time[seam])).copy_unchecked(
             {"start": _state_at(self.plan.trajectory, seam)}
         )
-        stop = stop_motion(self.plan.trajectory, float(time[seam]), self._robot).trajectory
+
+        def stop() -> Trajectory:
+            return stop_motion(self.plan.trajectory, float(time[seam]), self._robot).trajectory.cut_before(seam)
+
         try:
-            new = solve_scene(Problem.from_scene(self._robot, scene, self._options), stop=stop.cut_before(seam))
+            new = solve_scene(Problem.from_scene(self._robot, scene, self._options), stop=stop)
         except UnavoidableContactError as error:
             raise self._takeover_error(error.reasons) from error
         return self._join(seam, until, new)

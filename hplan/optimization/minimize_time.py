@@ -54,6 +54,16 @@ _AS_QUICK = 1.01
 _REPAIRED = 1.02
 
 
+#: Within which time a motion is blended into its boundary state: a longer time leaves the path for a longer distance, a
+#: shorter time exceeds the limits more. Tried in order: multiples of the time in which a joint can stop, and minimum
+#: times [s].
+_BLENDED = ((2.0, 0.2), (1.5, 0.1), (1.0, 0.05))
+
+#: A blended motion that would have to be slowed down by more than this factor is far from its limits; its first step may
+#: change control points by this much [rad].
+_FAR_FROM_LIMITS, _FAR_TRUST = 4.0, 1.0
+
+
 @dataclass(frozen=True)
 class Level:
     """Resolution of the spline and optimization budget of one level.
@@ -236,7 +246,10 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
         return None
     spline = _initial_spline(start, problem, even_breaks(start.duration, pieces))
     enough_s = _sufficient_duration(spline, problem, level)
-    best, trust, stalled = None, level.trust, 0
+    best, stalled = None, 0
+    trust = level.trust
+    if _is_blended(start, problem) and problem.time_scale(spline) > _FAR_FROM_LIMITS:
+        trust = max(trust, _FAR_TRUST)
     for _ in range(level.steps):
         step = _step(spline, problem, trust, _NEAR * level.gain)
         trust = trust * _SHRINK if step is None or step.part < 1.0 else min(trust / _SHRINK, level.trust)
@@ -261,6 +274,11 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
     return best
 
 
+def _is_blended(start: TimedMotion, problem: TimeProblem) -> bool:
+    """True if a motion from rest to rest must be blended into states in motion."""
+    return problem.ends is not None and not (isinstance(start, TimedSpline) and start.ends is not None)
+
+
 def _sufficient_duration(spline: TimedSpline, problem: TimeProblem, level: Level) -> float:
     """Duration that ends a level [s]; 0 without a lower bound."""
     if level.enough == 0.0 or spline.ends is not None:
@@ -277,18 +295,19 @@ def _initial_spline(start: TimedMotion, problem: TimeProblem, breaks: FloatArray
     """
     # If tracking errors cause contact, the motion is slowed down by this factor, at most this many times.
     slower, slowed = 1.5, 9
-    if problem.ends is None or (isinstance(start, TimedSpline) and start.ends is not None):
+    ends = problem.ends
+    if ends is None or not _is_blended(start, problem):
         spline = TimedSpline.approximate(start.positions, breaks, problem.ends)
         for _ in range(slowed if problem.sway is not None else 0):
             if problem.is_clear(spline):
                 break
             spline = spline.at_time_scale(slower)
         return spline
-    # Times, tried in order, within which a motion is blended into its boundary state: a longer time leaves the path for
-    # a longer distance, a shorter time exceeds the limits more [s].
-    for within_s in (0.2, 0.1, 0.05):
-        between = MotionBetween(start.positions, start.duration, problem.ends, within_s)
-        spline = TimedSpline.approximate(between.positions, breaks, problem.ends)
+    stops_s = np.abs([state.velocity for state in ends]) / problem.limits.acceleration
+    for times, least_s in _BLENDED:
+        within_s = np.maximum(times * stops_s, least_s)
+        between = MotionBetween(start.positions, start.duration, ends, within_s)
+        spline = TimedSpline.approximate(between.positions, breaks, ends)
         if problem.is_clear(spline):
             break
     return spline

@@ -227,21 +227,22 @@ class MotionBetween(Record):
         positions_at_rest: The motion from rest to rest, (k,) times -> (k, dof) configurations.
         duration: Duration [s].
         ends: Boundary states, with the motion's own positions.
-        within_s: Maximum blending time at each end [s].
+        within_s: (2, dof) maximum blending time of each joint at each end [s].
     """
 
     positions_at_rest: Callable[[FloatArray], FloatArray]
     duration: float
     ends: tuple[BoundaryState, BoundaryState]
-    within_s: float
+    within_s: FloatArray
 
     def positions(self, clock: FloatArray) -> FloatArray:
         """(k, dof) configurations at (k,) times [s]."""
-        q, span = np.array(self.positions_at_rest(clock)), min(self.within_s, 0.5 * self.duration)
-        for state, sign, since in ((self.ends[0], 1.0, clock), (self.ends[1], -1.0, self.duration - clock)):
-            left = np.clip(1.0 - since / span, 0.0, 1.0)
+        q, spans = np.array(self.positions_at_rest(clock)), np.minimum(self.within_s, 0.5 * self.duration)
+        since = clock[:, None]
+        for state, sign, gone, span in zip(self.ends, (1.0, -1.0), (since, self.duration - since), spans, strict=True):
+            left = np.clip(1.0 - gone / span, 0.0, 1.0)
             speed, push = sign * state.velocity, state.acceleration + 6.0 * sign * state.velocity / span
-            q += (since * left**3)[:, None] * (speed + (0.5 * since)[:, None] * push)
+            q += gone * left**3 * (speed + 0.5 * gone * push)
         return q
 
 

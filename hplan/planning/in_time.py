@@ -23,7 +23,7 @@ from hplan.errors import HplanError, MovingObstacleError, ObstacleInTimeError, T
 from hplan.planning.motion import Plan, Solver, best_of
 from hplan.planning.problem import Problem
 from hplan.planning.schedule import STEP_S, MovingField, PathInTime, earliest_schedule, room_to_change
-from hplan.planning.start_in_motion import after_stop, stops
+from hplan.planning.start_in_motion import StopMaker, after_stop, stops
 from hplan.scene.fruit import Fruit
 from hplan.scene.model import Scene, Start
 from hplan.scene.obstacle_kind import transform_fields
@@ -31,12 +31,12 @@ from hplan.scene.obstacles import AnyObstacle, Sphere
 from hplan.trajectory.trajectory import Phase, Trajectory, join_trajectories, scale_motion
 
 
-def past_moving_obstacles(solve: Solver, stop: Trajectory | None = None) -> Solver:
+def past_moving_obstacles(solve: Solver, stop: StopMaker | None = None) -> Solver:
     """A solver that also solves problems with moving obstacles.
 
     Args:
         solve: Solver of problems among static obstacles.
-        stop: A motion to rest from a start in motion, tried in addition to the default ones; None for none.
+        stop: Returns a motion to rest from a start in motion, tried before the default ones; None for none.
     """
 
     def solver(problem: Problem) -> Iterator[Plan]:
@@ -45,7 +45,7 @@ def past_moving_obstacles(solve: Solver, stop: Trajectory | None = None) -> Solv
     return solver
 
 
-def _plans_in_time(problem: Problem, solve: Solver, stop: Trajectory | None) -> Iterator[Plan]:
+def _plans_in_time(problem: Problem, solve: Solver, stop: StopMaker | None) -> Iterator[Plan]:
     """Certified plans among moving obstacles, each faster than the one before.
 
     Raises:

@@ -27,11 +27,10 @@ from hplan.planning.report import deadline_report
 from hplan.planning.result import PlanResult, bounded_phases
 from hplan.planning.specialist import check_method
 from hplan.planning.stages import Progress, current_clock, no_progress, stage, stage_clock
-from hplan.planning.start_in_motion import from_motion
+from hplan.planning.start_in_motion import StopMaker, from_motion
 from hplan.robot.model import Robot
 from hplan.robot.tracking import largest_fraction, name_margin
 from hplan.scene.model import Scene, checked_scene
-from hplan.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from hplan.planning.lower_bound.duration_bound import DurationBound
@@ -114,7 +113,7 @@ def check_task(
 
 
 def solve_scene(
-    problem: Problem, *, progress: Progress = no_progress, before: Motion | None = None, stop: Trajectory | None = None
+    problem: Problem, *, progress: Progress = no_progress, before: Motion | None = None, stop: StopMaker | None = None
 ) -> PlanResult:
     """Solve the problem of a scene.
 
@@ -125,7 +124,7 @@ def solve_scene(
     Args:
         progress: Called with the name of each stage as it begins.
         before: An earlier motion, kept or repaired if possible (`hplan.planning.solver.reuse_motion`).
-        stop: A motion to rest from a start in motion, tried in addition to the default ones.
+        stop: Returns a motion to rest from a start in motion, tried before the default ones.
 
     Raises:
         HplanError: As in `plan`.
@@ -151,14 +150,14 @@ def solve_scene(
         raise
 
 
-def solver(before: Motion | None = None, stop: Trajectory | None = None) -> Solver:
+def solver(before: Motion | None = None, stop: StopMaker | None = None) -> Solver:
     """The solver of any problem.
 
     That of problems from rest among static obstacles, and its wrappers.
 
     Args:
         before: An earlier motion, kept or repaired if possible.
-        stop: A motion to rest from a start in motion, tried in addition to the default ones.
+        stop: Returns a motion to rest from a start in motion, tried before the default ones.
     """
     solve = with_less_force(with_all_efforts(from_motion(plans_from_rest, stop)))
     return with_reuse(before, past_moving_obstacles(solve, stop))

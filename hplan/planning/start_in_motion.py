@@ -10,15 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 
 from hplan.base.arrays import frozen
-from hplan.certificate.certificate import REST, Certificate, all_of
+from hplan.certificate.certificate import LIMIT_TOLERANCE, REST, Certificate, all_of
 from hplan.certificate.start_state import start_state
 from hplan.errors import ConfigurationInCollisionError, HplanError, OptionError, UnavoidableContactError
 from hplan.optimization.minimize_time import TimedMotion, minimize_time
+from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import RESTING, BoundaryState, TimedSpline, even_breaks
 from hplan.planning.motion import Plan, Solver, best_of, certificate_of, motion_limits, time_problem
 from hplan.planning.problem import Problem
@@ -27,6 +28,9 @@ from hplan.robot.model import Robot
 from hplan.trajectory.braking import braking
 from hplan.trajectory.trajectory import Trajectory, join_trajectories
 
+#: Computes a motion to rest when it is needed.
+StopMaker: TypeAlias = Callable[[], Trajectory]
+
 #: Fractions of the acceleration limits for stops, tried in turn.
 _PUSHES: Final = (1.0, 0.7, 0.4, 0.2)
 
@@ -34,14 +38,14 @@ _PUSHES: Final = (1.0, 0.7, 0.4, 0.2)
 _EXTRA_ACCELERATION: Final = 1e-3
 
 
-def from_motion(solve: Solver, stop: Trajectory | None = None) -> Solver:
+def from_motion(solve: Solver, stop: StopMaker | None = None) -> Solver:
     """A solver that also solves problems with a start in motion.
 
     Its plans are not necessarily each faster than before.
 
     Args:
         solve: Solver of problems with a start at rest.
-        stop: A motion from the state to rest, tried before others; None for none.
+        stop: Returns a motion from the state to rest, tried before others; None for none.
     """
 
     def solver(problem: Problem) -> Iterator[Plan]:
@@ -55,7 +59,7 @@ def from_motion(solve: Solver, stop: Trajectory | None = None) -> Solver:
     return solver
 
 
-def _plans_in_motion(problem: Problem, state: BoundaryState, solve: Solver, stop: Trajectory | None) -> Iterator[Plan]:
+def _plans_in_motion(problem: Problem, state: BoundaryState, solve: Solver, stop: StopMaker | None) -> Iterator[Plan]:
     """Plans from a state of motion.
 
     Raises:
@@ -102,10 +106,13 @@ def _plans_in_motion(problem: Problem, state: BoundaryState, solve: Solver, stop
 
 
 def _is_within(problem: Problem, state: BoundaryState) -> bool:
-    """True if a state is within the motion limits."""
+    """True if a state is within the motion limits, as certificates count them.
+
+    States of the fastest motions are at their limits, up to rounding.
+    """
     limits = motion_limits(problem)
-    fast = np.abs(state.velocity) > limits.velocity
-    return not (fast | (np.abs(state.acceleration) > limits.acceleration)).any()
+    fast = np.abs(state.velocity) > LIMIT_TOLERANCE * limits.velocity
+    return not (fast | (np.abs(state.acceleration) > LIMIT_TOLERANCE * limits.acceleration)).any()
 
 
 def _blend_start(plan: Plan, state: BoundaryState) -> Plan | None:
@@ -118,7 +125,7 @@ def _blend_start(plan: Plan, state: BoundaryState) -> Plan | None:
         return None
     ends = state, BoundaryState.of_row(transit, -1)
     with stage("timing"):
-        program = time_problem(problem, transit, ends)
+        program = _admitting(time_problem(problem, transit, ends), state)
         effort = problem.effort.begun
         start: TimedMotion = transit
         if np.abs(transit.velocity[0]).max() > REST:
@@ -135,6 +142,20 @@ def _blend_start(plan: Plan, state: BoundaryState) -> Plan | None:
         return None
     blended = replace(plan.transit, trajectory=trajectory, certificate=certificate, path=spline.path)
     return replace(plan, transit=blended)
+
+
+def _admitting(program: TimeProblem, state: BoundaryState) -> TimeProblem:
+    """A program whose limits include a state that exceeds them by rounding."""
+    limits = program.limits
+    velocity, acceleration = np.abs(state.velocity), np.abs(state.acceleration)
+    return replace(
+        program,
+        limits=replace(
+            limits,
+            velocity=frozen(np.maximum(limits.velocity, velocity)),
+            acceleration=frozen(np.maximum(limits.acceleration, acceleration)),
+        ),
+    )
 
 
 def _stopping_first(stop: Trajectory, certificate: Certificate, plan: Plan) -> Plan:
@@ -190,17 +211,17 @@ def after_stop(
     )
 
 
-def stops(robot: Robot, state: BoundaryState, period: float, given: Trajectory | None) -> Iterator[Trajectory]:
+def stops(robot: Robot, state: BoundaryState, period: float, given: StopMaker | None) -> Iterator[Trajectory]:
     """Motions from a state to rest, in order of preference.
 
     The given one first; then, for decreasing accelerations, each joint as quickly as it can, and all joints together.
 
     Args:
         period: Sampling period [s].
-        given: A stop to try first; None for none.
+        given: Returns a stop to try first; None for none.
     """
     if given is not None:
-        yield given
+        yield given()
     for part in _PUSHES:
         push = part * robot.acceleration_limit
         with np.errstate(divide="ignore", invalid="ignore"):

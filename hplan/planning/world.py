@@ -18,7 +18,7 @@ from hplan.base import ties
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import check_deadline
 from hplan.certificate.moving_obstacles import leaving_of
-from hplan.collision.coal_arm import BASE_DEPTH, base_radius
+from hplan.collision.coal_arm import BASE_DEPTH
 from hplan.collision.coal_scene import CoalScene, Leaving, OwnContact, base_contacts
 from hplan.collision.compiled_field import ClearanceField
 from hplan.collision.compliant_solids import LinkedSolids
@@ -220,11 +220,7 @@ class World(Record):
         Raises:
             InputError: An obstacle intersects them; names it, the body and the depth.
         """
-        boxes = self.checker.boxes[0][len(self.checker.parts.all_shapes) :]
-        sizes = np.linalg.norm(boxes["half"], axis=1) + boxes["radius"]
-        in_reach = np.linalg.norm(boxes["centre"], axis=1) <= sizes + base_radius(self.robot)
-        close = [solid for solid, near in zip(self.solids, in_reach.tolist(), strict=True) if near]
-        contacts = base_contacts(self.robot, close, margin=-BASE_DEPTH)
+        contacts = self.checker.base_contacts
         if contacts:
             worst = contacts[ties.argmin([contact.distance_m for contact in contacts])]
             raise InputError(

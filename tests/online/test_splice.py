@@ -70,6 +70,23 @@ def test_to_another_goal(robot, effort, now, ahead):
     assert 0.0 <= result.begins_s + result.seam_s - (now + ahead) < 4e-3
 
 
+def test_motion_at_its_limits_is_left_without_a_stop(robot):
+    """The fastest motions are at their limits up to rounding, which must not count as beyond them."""
+    scene = task((-80.0, 45.0, 40.0, 30.0), (80.0, 45.0, 40.0, 30.0), [])
+    planner = Planner(robot, scene, PlanOptions(effort="quick"))
+    before = planner.plan()
+    uses = (np.abs(before.trajectory.acceleration) / robot.acceleration_limit).max(axis=1)
+    is_fast = np.abs(before.trajectory.velocity).max(axis=1) > 0.3
+    seam = int(np.where(is_fast, uses, 0.0).argmax())
+    assert uses[seam] > 1.0
+    planner.aim(goal=Goal(joints_deg=(-80.0, 70.0, 20.0, 30.0)))
+    result = planner.replan(at=float(before.trajectory.time[seam]))
+    assert_spliced(robot, planner.scene, before, result)
+    speeds = np.abs(result.trajectory.velocity).max(axis=1)
+    first = int(np.searchsorted(result.trajectory.time, result.seam_s))
+    assert speeds[first:-20].min() > 0.05
+
+
 def test_timeout_before_new_motion_is_planned(robot):
     planner, before = a_planner(robot)
     planner.aim(goal=BACK)

@@ -59,8 +59,8 @@ _REPAIRED = 1.02
 #: times [s].
 _BLENDED = ((2.0, 0.2), (1.5, 0.1), (1.0, 0.05))
 
-#: A blended motion that would have to be slowed down by more than this factor is far from its limits; its first step may
-#: change control points by this much [rad].
+#: A blended motion that would have to be slowed down by more than this factor is far from its limits, so that
+#: its first step may change control points by this much [rad].
 _FAR_FROM_LIMITS, _FAR_TRUST = 4.0, 1.0
 
 

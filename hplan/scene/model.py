@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, Self
 from weakref import WeakValueDictionary
 
@@ -40,7 +41,7 @@ from hplan.scene.obstacle_kind import (
 )
 from hplan.scene.obstacles import AnyObstacle, Capsule, Obstacle, Solid, Sphere
 from hplan.scene.robot_source import RobotField
-from hplan.scene.tracks import Movement
+from hplan.scene.tracks import Movement, Sway
 from hplan.scene.wood import Wood, limits_by_segment
 
 #: Format of scene files, the value of their key `format`.
@@ -403,8 +404,7 @@ class Scene(StrictModel):
         for obstacle in self.obstacles:
             yield obstacle, bending.get(obstacle.name) or obstacle.solids
         for f in self.fruits:
-            ball = Sphere(name=f.name, center=f.center, radius=f.radius, sigma=f.sigma, sway=f.sway, yields=f.yields)
-            yield f, bending.get(f.name) or ball.solids
+            yield f, bending.get(f.name) or _ball_of(f.name, f.center, f.radius, f.sigma, f.sway, f.yields).solids
 
     @property
     def errors(self) -> dict[str, FloatArray]:
@@ -717,6 +717,12 @@ def with_limbs(scene: Scene, wood: Wood | None = None) -> Scene:
 def is_trellis(name: str) -> bool:
     """True for names of wires and posts."""
     return not {"wire", "post"}.isdisjoint(name.lower().split())
+
+
+@lru_cache(maxsize=1024)
+def _ball_of(name: str, center: Vector, radius: float, sigma: float, sway: Sway | None, yields: float) -> Sphere:
+    """A fruit as an obstacle; kept, since every replan asks for the balls of the same fruit."""
+    return Sphere(name=name, center=center, radius=radius, sigma=sigma, sway=sway, yields=yields)
 
 
 def _ball_distance(solid: Solid, point: FloatArray) -> float:

@@ -449,6 +449,7 @@ def certify_among(
     begin_s: float = 0.0,
     rates: MotionRates | None = None,
     velocity_jumps: bool = False,
+    measured: bool = True,
 ) -> Certificate:
     """Certify a trajectory, or part of one, with given collision checkers.
 
@@ -461,6 +462,8 @@ def certify_among(
         begin_s: Start time of the motion on the clock of the obstacles' movements [s].
         rates: Limit use and speeds, if the motion is assembled from others; None computes both.
         velocity_jumps: Whether the velocity may jump along straight lines between samples (see `certify`).
+        measured: Whether the minimum distance is searched if the clearance is not proved; otherwise the certificate of
+            such a motion has a distance that is too small for the clearance, but need not be the minimum.
 
     Raises:
         InputError: The trajectory's joints are not the robot's.
@@ -481,7 +484,7 @@ def certify_among(
     for part, checker in among:
         own = deviations if len(deviations) == 1 else deviations[part]
         times = clock[part.start : part.stop + 1]
-        proof = prove_clearance(bezier[part], checker, own, clearance, times)
+        proof = prove_clearance(bezier[part], checker, own, clearance, times, measured=measured)
         rules.append(pair_rules(checker.with_margins(float(own.max()), clearance), proof, clearance))
         proved.append(ProvedStretch(part, checker, own, proof, times))
         seen_s.append(None if checker.moving is None else _time_of(proof, times))

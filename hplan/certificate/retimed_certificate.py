@@ -111,6 +111,7 @@ def certified_from(
     row: int,
     *,
     tracking: TrackingModel,
+    measured: bool = True,
 ) -> Certificate:
     """Certify a retimed motion from a sample on, as `certify` does.
 
@@ -121,6 +122,7 @@ def certified_from(
         contacts: Time windows in which the last link may touch fruits, on the clock of the other motion; the same
             parts of the path are allowed here.
         tracking: Model of the covered joint deviations.
+        measured: Whether the minimum distance is searched if the clearance is not proved, as for `certify_among`.
     """
     scene, checker = among
     motion, begin_s = retimed.trajectory.cut_before(row), float(retimed.trajectory.time[row])
@@ -132,6 +134,7 @@ def certified_from(
         tracking=tracking,
         rest_to_rest=False,
         begin_s=begin_s,
+        measured=measured,
     )
     found = with_violations(found, base_violations(robot, checker, motion, begin_s))
     return on_track(found, robot, scene, begin_s, motion.duration)

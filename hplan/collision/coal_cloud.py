@@ -2,9 +2,9 @@ r"""Point clouds in coal: lazily built bounding-volume trees over blocks of poin
 
 coal takes 2 us per point to build a tree, but a motion comes near few blocks only: leaves of the cloud's own tree,
 whose nodes have bounding balls. A shape of the arm lies in a box grown by a radius, a capsule in its axis grown by a
-radius. The distance from the box to a ball minus the radius is a lower bound of the distance between the shape and the
-ball's points. A block is skipped if its bound is at least the minimum found before it, so the minimum over all points
-is exact.
+radius. The distance from the box to a ball, or to the nearest of its points, minus the radius is a lower bound of the
+distance between the shape and the points. A block is skipped if a bound is at least the minimum found before it, so the
+minimum over all points is exact.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from hplan.collision.coal_shapes import beyond_geometry, capsule_shapes, solid_s
 from hplan.geometry.cloud import LEAF, Cloud
 from hplan.geometry.cloud_tree import tree_of
 from hplan.geometry.shape_outline import coal_distance
+from hplan.geometry.vectors import Vector
 from hplan.scene.obstacles import Capsule, Solid
 
 #: Size of the triangle that represents a point [m]. For triangles degenerated to points, coal's distance from a ball is
@@ -107,7 +108,7 @@ class PointBlocks:
         least, bound, block = math.inf, -math.inf, -1
         while True:
             limit = min(least, most + shape.radius) + shape.rounding
-            bound, block = nearest_block(place, shape.core, self._nodes, (bound, block), limit)
+            bound, block = nearest_block(place, shape.core, (self._nodes, self._points), (bound, block), limit)
             if block < 0 or least <= 0.0:
                 if least <= 0.0 and shape.thin is not None:
                     return self.distance(shape.thin, placement)
@@ -168,21 +169,44 @@ def distance_from(obstacle: Solid, most: float = math.inf) -> Callable[[coal.Col
 
 @kernel
 def nearest_block(
-    place: tuple[FloatArray, FloatArray], core: FloatArray, nodes: FloatArray, after: tuple[float, int], limit: float
+    place: tuple[FloatArray, FloatArray],
+    core: FloatArray,
+    cloud: tuple[FloatArray, FloatArray],
+    after: tuple[float, int],
+    limit: float,
 ) -> tuple[float, int]:
     """Find the leaf that may be nearest to a placed box.
 
     Args:
         place: (3, 3) rotation and (3,) translation of the box's frame.
         core: (2, 3) centre and half sizes of the box in that frame.
-        nodes: (k, 7) the tree, as in `hplan.geometry.cloud.Cloud`.
+        cloud: (k, 7) the tree, as in `hplan.geometry.cloud.Cloud`, and its (n, 3) points.
         after: Result of the previous call; leaves up to it in the order of bound and index are skipped.
-        limit: Leaves with a bound of at least this are skipped [m].
+        limit: Leaves whose ball, or points, are at least this far from the box are skipped [m].
 
     Returns:
         The distance from the box to the ball that contains the leaf's points, negative if the box overlaps the ball,
         and the leaf's index; -1 if no leaf is left.
     """
+    (rotation, translation), (nodes, points) = place, cloud
+    while True:
+        bound, leaf = _next_leaf(place, core, nodes, after, limit)
+        if leaf < 0:
+            return bound, leaf
+        least = math.inf
+        for p in range(int(nodes[leaf, 0]), int(nodes[leaf, 1])):
+            point = points[p, 0], points[p, 1], points[p, 2]
+            least = min(least, _square_from_box(rotation, translation, core, point))
+        if math.sqrt(least) * (1.0 - 1e-12) - 2.0 * _SPECK < limit:
+            return bound, leaf
+        after = bound, leaf
+
+
+@kernel
+def _next_leaf(
+    place: tuple[FloatArray, FloatArray], core: FloatArray, nodes: FloatArray, after: tuple[float, int], limit: float
+) -> tuple[float, int]:
+    """Find the leaf whose ball is nearest to a placed box; arguments and result as of `nearest_block`."""
     (rotation, translation), least, found, number = place, limit, -1, 0
     # Ends and bounds of the nodes above: this node's ball may extend beyond theirs, its points do not.
     above, height = np.empty((64, 2)), 0
@@ -190,12 +214,7 @@ def nearest_block(
         node = nodes[number]
         while height > 0 and number >= above[height - 1, 0]:
             height -= 1
-        x, y, z = node[3] - translation[0], node[4] - translation[1], node[5] - translation[2]
-        square = 0.0
-        for axis in range(3):
-            along = rotation[0, axis] * x + rotation[1, axis] * y + rotation[2, axis] * z
-            beyond = max(0.0, abs(along - core[0, axis]) - core[1, axis])
-            square += beyond * beyond
+        square = _square_from_box(rotation, translation, core, (node[3], node[4], node[5]))
         # Rounding errors, and the triangles' size, never make a ball too small.
         bound = math.sqrt(square) - (node[6] * (1.0 + 1e-12) + 2.0 * _SPECK)
         if height > 0:
@@ -209,3 +228,15 @@ def nearest_block(
             above[height, 0], above[height, 1] = node[2], bound
             height, number = height + 1, number + 1
     return least, found
+
+
+@kernel
+def _square_from_box(rotation: FloatArray, translation: FloatArray, core: FloatArray, point: Vector) -> float:
+    """Squared distance of a point from a placed box [m2]."""
+    x, y, z = point[0] - translation[0], point[1] - translation[1], point[2] - translation[2]
+    square = 0.0
+    for axis in range(3):
+        along = rotation[0, axis] * x + rotation[1, axis] * y + rotation[2, axis] * z
+        beyond = max(0.0, abs(along - core[0, axis]) - core[1, axis])
+        square += beyond * beyond
+    return square

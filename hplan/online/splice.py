@@ -171,7 +171,7 @@ class RunningMotion:
         self._world.check_base()
         if self._may_stay():
             certificate = self._certificate(
-                Retimed.cut(self.plan.trajectory, self.plan.trajectory.samples - 1), self.row, rest=True
+                Retimed.cut(self.plan.trajectory, self.plan.trajectory.samples - 1), self.row, rest=True, measured=False
             )
             if certificate.verified:
                 return self._keep(certificate)
@@ -219,13 +219,14 @@ class RunningMotion:
             return same and before.goal_fruit == now.goal_fruit
         return same and FruitContact(before.goal_fruit, 0.0, 0.0).is_with([now.goal_fruit])
 
-    def _certificate(self, retimed: Retimed, row: int, *, rest: bool = False) -> Certificate:
+    def _certificate(self, retimed: Retimed, row: int, *, rest: bool = False, measured: bool = True) -> Certificate:
         """Certify a motion on the running path among the current obstacles.
 
-        Samples from `row` on are certified; with `rest`, the motion must also end at rest.
+        Samples from `row` on are certified; with `rest`, the motion must also end at rest. With `measured`, the minimum
+        distance of a motion that fails is searched.
         """
         robot, among, tracking = self._robot, (self._scene, self._checker), self._options.certified_tracking
-        found = certified_from(robot, among, self._contacts, retimed, row, tracking=tracking)
+        found = certified_from(robot, among, self._contacts, retimed, row, tracking=tracking, measured=measured)
         found = with_violations(found, rest_violations(robot, retimed.trajectory, {"ends": -1}) if rest else ())
         goal_contact = self.plan.certificate.goal_contact if self._contacts else None
         return replace(found, goal_contact=goal_contact, contacts=map_to_retimed(retimed, self._contacts))

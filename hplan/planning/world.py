@@ -30,8 +30,9 @@ from hplan.robot.tracking import TrackingModel, largest_fraction, name_margin
 from hplan.scene.model import Scene, growing_from, hanging_from
 from hplan.scene.obstacle_kind import Sigmas, Solid, growths
 
-#: Spare clearance by the compiled distances from which a configuration counts as clear [m].
-_CLEARLY_M = 2e-3
+#: Spare clearance by the compiled distances from which a configuration counts as clear, and the value to which larger
+#: ones are clamped [m].
+_CLEARLY_M, _ENOUGH_M = 2e-3, 1.0
 
 #: Maximum number of cached clearances.
 _KNOWN = 4096
@@ -146,7 +147,8 @@ class World(Record):
     def check_clear(self, q: FloatArray, which: str) -> float:
         """Clearance of a configuration at rest beyond the requirement [m].
 
-        The requirement is the clearance to keep plus the tracking displacement bound of each link.
+        The requirement is the clearance to keep plus the tracking displacement bound of each link. Clearances of more
+        than a metre may be clamped to it.
 
         Args:
             q: (dof,) configuration.
@@ -175,9 +177,9 @@ class World(Record):
         return {}
 
     def _check(self, q: FloatArray, which: str) -> float:
-        if self.deviation == 0.0 and not len(self.checker.near_pairs):
+        if not len(self.checker.near_pairs):
             # Compiled distances are lower bounds, and quicker among clouds. Coal decides close cases, and certifies.
-            spare = float(self.field.spare_clearances(q[None])[0])
+            spare = self.field.spare_clearance(q, enough=_ENOUGH_M)
             if spare > _CLEARLY_M:
                 return spare
         checker = self.checker if which == "start" else self._firm_checker

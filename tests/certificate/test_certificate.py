@@ -11,7 +11,7 @@ import pytest
 from planned import on_cubics, straight
 
 from hplan.certificate import certificate as certificates
-from hplan.certificate.clearance_proof import point_at
+from hplan.certificate.clearance_proof import point_at, prove_clearance
 from hplan.certificate.motion_bound import motion_of_movers
 from hplan.certificate.turning_in_place import clearance_in_place
 from hplan.collision.coal_scene import CoalScene
@@ -103,6 +103,16 @@ def test_contact_after_a_long_graze_is_found_early(robot, scene):
     assert certificate.nearest_s is None
     assert certificate.min_clearance_m < -0.05
     assert certificate.checks < 3_000
+
+
+@pytest.mark.parametrize("depth", [-0.01, 0.02])
+def test_verdict_alone_is_that_of_the_measured_proof(robot, scene, depth):
+    bezier = swing(robot, 0.301, 0.901, 0.6, 101).segments[0]
+    checker = CoalScene(robot, scene.with_obstacles([grazed_ball(depth, 0.604)]).solids)
+    whole, verdict = (prove_clearance(bezier, checker, np.zeros((1, 4)), 0.0, measured=each) for each in (True, False))
+    assert (verdict.outcome, verdict.end) == (whole.outcome, whole.end)
+    assert verdict.is_certified == (depth < 0.0)
+    assert verdict.checks == whole.checks if depth < 0.0 else verdict.checks < whole.checks
 
 
 def test_contact_at_an_end_is_refused(robot, scene):

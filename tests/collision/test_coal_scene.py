@@ -314,7 +314,7 @@ def test_blocks_come_nearest_first_and_bound_distances_from_below(seed, kind):
     shape = BareShape.strip(SHAPES[kind])
     farthest, after, found = rng.choice([0.5, np.inf]), (-np.inf, -1), {}
     poses = place.rotation, place.translation
-    while (after := nearest_block(poses, shape.core, cloud.tree, after, farthest))[1] >= 0:
+    while (after := nearest_block(poses, shape.core, (cloud.tree, cloud.core), after, farthest))[1] >= 0:
         assert after[1] not in found
         found[after[1]] = after[0]
     assert list(found.values()) == sorted(found.values())

@@ -41,7 +41,7 @@ STUDIES = {
     "fastest": "fastest:FASTEST",
     "deadlines": "fruit:DEADLINES",
     "camera": "camera:CAMERA",
-    "panda": "arms:PANDA",
+    "motionbenchmaker": "motionbenchmaker:MOTIONBENCHMAKER",
     "random": "arms:RANDOM",
     "others": "others:OTHERS",
     "franka": "franka:FRANKA",
@@ -70,7 +70,7 @@ exit status:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     words = list(sys.argv[1:] if argv is None else argv)
-    lines = [f"  {name:11} {study_of(name).about}" for name in STUDIES] if {"-h", "--help"} & set(words) else []
+    lines = [f"  {name:16} {study_of(name).about}" for name in STUDIES] if {"-h", "--help"} & set(words) else []
     arguments = _parser("\n".join(["studies:", *lines, "", _EPILOG])).parse_args(words)
     return run_command(lambda console, errors: _run(arguments, console, errors))
 
@@ -83,6 +83,8 @@ def _parser(epilog: str) -> argparse.ArgumentParser:
     add("--count", type=int, metavar="N", help="problems of each study, or of each of its groups")
     add("--quick", action="store_true", help="few problems, as a check")
     add("--first", type=int, default=0, metavar="N", help="number of the first problem drawn (default: 0)")
+    add("--step", type=int, default=1, metavar="N", help="distance of the problems' numbers (default: 1)")
+    add("--only", nargs="+", default=[], metavar="NAME", help="chosen robots, sets and kinds of problems of a study")
     add("--seed", type=int, default=0, metavar="N", help="seed of problems and planners (default: 0)")
     add("--jobs", type=int, default=1, metavar="N", help="processes (default: 1)")
     add("--effort", choices=("quick", "default", "best"), default="default", help="of hplan (default: default)")
@@ -94,7 +96,7 @@ def _parser(epilog: str) -> argparse.ArgumentParser:
         help=f"another planner for the problems (default: {PEERS[0]})",
     )
     add("--trees", type=Path, metavar="DIR", help="folder of measured trees, a CSV of capsules each")
-    add("--files", type=Path, metavar="DIR", help="folder of MotionBenchMaker's sets, panda_SET.json each")
+    add("--files", type=Path, metavar="DIR", help="folder of a study's problems, such as VAMP's `resources`")
     add("--values", nargs="+", default=[], metavar="NAME=X,Y", help="numbers of a study, as deadlines=20,50 [ms]")
     add("--improve", action="store_true", help="fastest: store faster motions in the project's file")
     add("--compare", nargs=2, type=Path, metavar=("OLD", "NEW"), help="compare the rows of two folders, problem by "
@@ -122,7 +124,7 @@ def _value(text: str) -> tuple[str, tuple[float, ...]]:
 
 
 def _run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
-    for name, least in (("count", 1), ("first", 0), ("seed", 0), ("jobs", 1)):
+    for name, least in (("count", 1), ("first", 0), ("step", 1), ("seed", 0), ("jobs", 1)):
         value = getattr(arguments, name)
         if value is not None and value < least:
             raise OptionError(f"--{name}", value, f"a whole number >= {least}")
@@ -133,12 +135,14 @@ def _run(arguments: argparse.Namespace, console: Console, errors: Console) -> in
 
     config = StudyConfig(
         first=arguments.first,
+        step=arguments.step,
         seed=arguments.seed,
         effort=arguments.effort,
         peer=arguments.peer,
         robot=None if arguments.robot is None else robot_of(arguments),
         trees=arguments.trees,
         files=arguments.files,
+        only=frozenset(arguments.only),
         values=dict(map(_value, arguments.values)),
     )
     if not arguments.studies:

@@ -1,41 +1,29 @@
-"""General arms: random scenes, and MotionBenchMaker's problems for the Panda.
+"""Random scenes of general arms.
 
 A random scene has its own seed, (seed, number). Boxes, balls, capsules and clouds are within reach of the tool, over a
 floor just below the base; start and goal are drawn uniformly from the joint ranges (at most half a turn to either side)
 until the arm keeps `FREE_M` clear of everything, and the tool positions are at least `APART` of the reach apart.
-
-MotionBenchMaker's problems are read as VAMP distributes them, one JSON list for each set. The robot is
-example-robot-data's Panda. Its fingers are farther apart in the problems than its URDF permits, and some goals have
-joint 4 up to 0.07 rad beyond its limit: both limits are widened.
 """
 
 from __future__ import annotations
 
 import itertools
-import json
-from collections.abc import Iterable, Sequence
-from functools import cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
-import pinocchio as pin
 from studies.harness import Row, Study, StudyConfig
-from studies.measure import planned, ratio, timed
+from studies.measure import planned, timed
 from studies.outside import contacts, path_is_clear
-from studies.peers import RESOLUTION, ompl_path, roboplan_row, seed_ompl, toppra_motion, world_of
+from studies.peers import ompl_path, seed_ompl, world_of
 from studies.validation.random_worlds import direction
 
 from hplan.base.arrays import FloatArray
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.collision.collision_bodies import collision_bodies
-from hplan.errors import InputError
 from hplan.planning.options import PlanOptions
-from hplan.robot.files import named_robot
-from hplan.robot.model import Robot, load_robot
+from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-from hplan.scene.obstacles import Box, Capsule, Cylinder, Obstacle, PointCloud, Sphere
+from hplan.scene.obstacles import Box, Capsule, Obstacle, PointCloud, Sphere
 
 #: Kinds of scenes, in turn: how many boxes, balls, capsules and clouds.
 KINDS = ((10, 8, 8, 0), (4, 4, 4, 2), (14, 0, 0, 0), (0, 16, 0, 0), (0, 0, 18, 0), (0, 0, 0, 4), (8, 6, 6, 1))
@@ -186,107 +174,4 @@ RANDOM = Study(
     peers=("RRTConnect",),
     needs=("robot",),
     warm=2,
-)
-
-SETS = ("bookshelf_small", "bookshelf_tall", "bookshelf_thin", "box", "cage", "table_pick", "table_under_pick")
-
-#: Positions of the fingers [m], and the widened limits of the URDF.
-FINGERS = 0.065
-WIDENED = (('lower="0.0" upper="0.04"', 'lower="0.0" upper="0.08"'), ('upper="-0.0698"', 'upper="0.0873"'))
-
-
-#: Folder of the URDF: the judge reads it from a file.
-_FOLDER = TemporaryDirectory()
-
-
-@cache
-def panda() -> Robot:
-    """The Panda of example-robot-data with the limits widened and the fingers held."""
-    files = named_robot("panda")
-    text = files.urdf.read_text(encoding="utf-8")
-    for before, after in WIDENED:
-        text = text.replace(before, after)
-    hold, urdf = {"panda_finger_joint1": FINGERS}, Path(_FOLDER.name) / "panda.urdf"
-    urdf.write_text(text, encoding="utf-8")
-    return load_robot(urdf, limits=files.limits, tool_frame="panda_hand", hold=hold, package_dirs=files.package_dirs)
-
-
-def panda_problems(folder: Path, set_name: str) -> list[dict[str, Any]]:
-    """The problems of a set."""
-    file = folder / f"panda_{set_name}.json"
-    try:
-        found: list[dict[str, Any]] = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{file}: {error.strerror}", path=str(file)) from error
-    return found
-
-
-def panda_scene(robot: Robot, problem: dict[str, Any], name: str) -> Scene:
-    """A problem as a scene; obstacles of one name are numbered."""
-    ends = {key: {"joints_rad": tuple(problem[key][joint] for joint in robot.joint_names)} for key in ("start", "goal")}
-    obstacles: list[Box | Cylinder] = []
-    for number, part in enumerate(problem["obstacles"]):
-        x, y, z, w = part["quaternion_xyzw"]
-        turn = pin.rpy.matrixToRpy(pin.Quaternion(w, x, y, z).normalized().toRotationMatrix())
-        keys: dict[str, Any] = {
-            "name": f"{part['name']} {number}",
-            "center": tuple(part["position"]),
-            "rpy_deg": tuple(np.degrees(turn).tolist()),
-        }
-        if part["kind"] == "box":
-            obstacles.append(Box(size=tuple(part["size"]), **keys))
-        else:
-            obstacles.append(Cylinder(length=part["length"], radius=part["radius"], **keys))
-    return Scene.model_validate({"format": "hplan-scene/1", "name": name, "obstacles": tuple(obstacles), **ends})
-
-
-def panda_scenes(config: StudyConfig) -> Iterable[tuple[str, Robot, Scene]]:
-    """Problems of all sets, as name, robot and scene."""
-    if config.files is None:
-        return []
-    robot, found = panda(), []
-    for name in SETS:
-        problems = panda_problems(config.files, name)
-        every = max(1, len(problems) // (config.count or len(problems)))
-        chosen = problems[::every][: config.count]
-        found += [(name, robot, panda_scene(robot, one, f"{name} {one['number']}")) for one in chosen]
-    return found
-
-
-def _panda_row(config: StudyConfig, problem: tuple[str, Robot, Scene]) -> Row:
-    set_name, robot, scene = problem
-    found, row = planned(robot, scene, PlanOptions(effort=config.effort))
-    row |= {"name": scene.name, "set": set_name}
-    if found is not None:
-        row["contacts"], row["own_contacts"] = contacts(robot, scene, found.trajectory)
-        row["fault"] |= row["contacts"] + row["own_contacts"] > 0
-    if config.peer is None:
-        return row
-    if config.peer == "roboplan":
-        return row | roboplan_row(config, robot, scene, row.get("duration_s"))
-    seed_ompl(config.seed + 1)
-    world, goal = world_of(robot, scene), scene.goal.configuration
-    path, row["peer_ms"] = timed(lambda: ompl_path(world, scene, goal, seconds=FIND_S, resolution=RESOLUTION))
-    spline, timing_ms = timed(lambda: None if path is None else toppra_motion(robot, path))
-    row["peer_solved"], row["peer_motion_ms"] = spline is not None, row["peer_ms"] + timing_ms
-    if spline is not None:
-        row["spline_touches"] = any(contacts(robot, scene, spline))
-        row["to_spline"] = ratio(row.get("duration_s"), spline.duration)
-    return row
-
-
-PANDA = Study(
-    "panda",
-    "MotionBenchMaker's problems for the Panda (--files, panda_SET.json); --peer: roboplan, toppra on OMPL's paths",
-    _panda_row,
-    (
-        *("certified", "ms", "duration_s", "origin", "contacts", "own_contacts"),
-        *("peer_solved", "peer_ms", "peer_motion_ms", "to_spline", "spline_touches"),
-        *("to_peer", "peer_touches", "peer_over_limits"),
-    ),
-    problems=panda_scenes,
-    by="set",
-    needs=("files",),
-    peers=("RRTConnect", "roboplan"),
-    warm=7,
 )

@@ -41,23 +41,27 @@ class StudyConfig:
     Attributes:
         count: Number of problems, or of problems in each group; None for all.
         first: Number of the first problem.
+        step: Distance of the numbers of the problems.
         seed: Random seed of the problems, and of sampling-based planners.
         effort: hplan's effort preset.
         peer: Another planner for the same problems: one of OMPL's planners or roboplan; None for none.
         robot: The arm, if a study takes any; None for its own.
         trees: Folder of measured trees, a CSV of capsules each.
         files: Folder of problems in files.
+        only: The chosen robots, sets or kinds of problems of a study; empty for all.
         values: Further numbers that a study names, such as `deadlines`.
     """
 
     count: int | None = None
     first: int = 0
+    step: int = 1
     seed: int = 0
     effort: EffortName = "default"
     peer: str | None = None
     robot: Robot | None = None
     trees: Path | None = None
     files: Path | None = None
+    only: frozenset[str] = frozenset()
     values: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
     def arm(self, name: str = "harvester") -> Robot:
@@ -67,7 +71,12 @@ class StudyConfig:
     @property
     def numbers(self) -> range:
         """Numbers of the problems, for studies that draw each by its number."""
-        return range(self.first, self.first + (self.count or 0))
+        return range(self.first, self.first + self.step * (self.count or 0), self.step)
+
+    def chosen(self, names: Iterable[str]) -> tuple[str, ...]:
+        """The chosen ones of some alternative names; all of them if none is chosen."""
+        every = tuple(names)
+        return tuple(name for name in every if name in self.only) or every
 
 
 def numbered(config: StudyConfig) -> Iterable[Any]:
@@ -86,11 +95,13 @@ class Study:
         columns: Keys of the rows in the summary, in order.
         totals: Keys of numbers, and of counts by kind, that the summary adds up over all rows.
         problems: Maps the settings to the problems.
-        by: Key of the rows that groups them; empty for no groups.
+        by: Key of the rows that groups them, a name or several names of groups; empty for no groups.
         count: Default number of problems, None for all; and the number in a quick run.
         needs: Required settings: `trees`, `files`, `robot`.
         peers: Other planners that can solve its problems.
         warm: Number of problems that each process solves first without counting them, to load kernels.
+        choices: Alternative names that can be chosen, for each property of a problem.
+        percentiles: Percentiles of numbers in the summary.
     """
 
     name: str
@@ -104,6 +115,8 @@ class Study:
     needs: tuple[str, ...] = ()
     peers: tuple[str, ...] = ("RRTConnect", "BITstar")
     warm: int = 1
+    choices: tuple[tuple[str, ...], ...] = ()
+    percentiles: tuple[int, int, int] = (50, 95, 100)
 
 
 def run(
@@ -126,6 +139,9 @@ def run(
         raise InputError(f"{study.name}: needs --{' and --'.join(missing)}", study=study.name, missing=missing)
     if config.peer not in (None, *study.peers):
         raise OptionError("--peer", config.peer, f"one of {', '.join(study.peers)} for {study.name}")
+    names = list(itertools.chain.from_iterable(study.choices))
+    if unknown := sorted(config.only.difference(names)):
+        raise OptionError("--only", unknown[0], f"one of {', '.join(names) or 'none'} for {study.name}")
     problems = list(study.problems(config))
     warm = problems[:: max(1, math.ceil(len(problems) / max(1, study.warm)))] if study.warm else []
     report(0, len(problems))
@@ -162,7 +178,7 @@ def number(value: float, digits: int = 3) -> str:
     return f"{value:,.0f}" if abs(value) >= 10.0**digits else f"{value:.{digits}g}"
 
 
-def summarize(values: Sequence[Any]) -> str:
+def summarize(values: Sequence[Any], percentiles: Sequence[int] = (50, 95, 100)) -> str:
     """The summary of one column's values, without missing ones."""
     kept = [value for value in values if value is not None]
     if not kept:
@@ -173,7 +189,7 @@ def summarize(values: Sequence[Any]) -> str:
         return ", ".join(f"{count} {value}" for value, count in Counter(map(str, kept)).most_common())
     if len(kept) == 1:
         return number(float(kept[0]), 4)
-    return " / ".join(number(float(value), 4) for value in np.nanpercentile(kept, (50, 95, 100)))
+    return " / ".join(number(float(value), 4) for value in np.nanpercentile(kept, percentiles))
 
 
 def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
@@ -184,11 +200,15 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
 
 def summary(study: Study, rows: Sequence[Row]) -> list[str]:
     """Markdown lines: a table with a row per group, and the faults."""
-    groups = list(dict.fromkeys(str(row.get(study.by)) for row in rows)) if study.by else []
-    chosen = {name: [row for row in rows if str(row.get(study.by)) == name] for name in groups} | {"all": rows}
+    chosen: dict[str, list[Row]] = {}
+    for row in rows if study.by else ():
+        group = row.get(study.by)
+        for name in group if isinstance(group, list) else [group]:
+            chosen.setdefault(str(name), []).append(row)
+    chosen["all"] = list(rows)
     kept = [key for key in study.columns if any(row.get(key) is not None for row in rows)]
     cells = [
-        (name, str(len(some)), *(summarize([row.get(key) for row in some]) for key in kept))
+        (name, str(len(some)), *(summarize([row.get(key) for row in some], study.percentiles) for key in kept))
         for name, some in chosen.items()
     ]
     faults = [str(row.get("name")) for row in rows if row.get("fault")]
@@ -198,9 +218,13 @@ def summary(study: Study, rows: Sequence[Row]) -> list[str]:
         "",
         *table((study.by, "rows", *(key.replace("_", " ") for key in kept)), cells),
         "",
-        " ".join(["Numbers: median / 95 % / largest.", *totals, f"At fault: {', '.join(faults) or 'none'}."]),
+        " ".join([f"Numbers: {_in_words(study.percentiles)}.", *totals, f"At fault: {', '.join(faults) or 'none'}."]),
         "",
     ]
+
+
+def _in_words(percentiles: Sequence[int]) -> str:
+    return " / ".join({50: "median", 100: "largest"}.get(each, f"{each} %") for each in percentiles)
 
 
 def _total(values: Sequence[Any]) -> str:

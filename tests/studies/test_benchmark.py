@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import io
 import json
+import tarfile
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 from script_loader import load_script
-from studies import harness, reference
+from studies import harness, motionbenchmaker, reference
 from studies import trees as among_trees
 from studies import wood as bending_wood
-from studies.harness import Study, read_rows
+from studies.harness import Study, StudyConfig, read_rows
 from studies.outside import TimedMotion
 from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
 
@@ -92,18 +95,59 @@ def test_peers(tmp_path: Path, trees: str, monkeypatch: pytest.MonkeyPatch) -> N
     assert row["to_peer"] < 1.05
 
 
+def _problems(folder: Path) -> Path:
+    """A folder of problems as VAMP's `resources`: one for the Panda, with a box between its ends."""
+    names = [f"panda_joint{number}" for number in range(1, 8)]
+    start, goal = (-0.6, 0.3, 0.0, -1.8, 0.0, 2.1, 0.8), (0.6, 0.3, 0.0, -1.8, 0.0, 2.1, 0.8)
+    pose = {"position": [0.55, 0.0, 0.0], "orientation": [0.0, 0.0, 0.0, 1.0]}
+    block = {"primitives": [{"type": "box", "dimensions": [0.2, 0.04, 0.2]}], "primitive_poses": [pose]}
+    place = {"position": [0.0, 0.0, 0.45], "orientation": [0.0, 0.0, 0.0, 1.0]}
+    constraints = [{"joint_name": name, "position": q} for name, q in zip(names, goal, strict=True)]
+    files = {
+        "scene0001": {"world": {"collision_objects": [{"id": "block", "pose": place, **block}]}},
+        "request0001": {
+            "start_state": {"joint_state": {"name": names, "position": list(start)}},
+            "goal_constraints": [{"joint_constraints": constraints}],
+        },
+    }
+    (folder / "panda").mkdir(parents=True)
+    with tarfile.open(folder / "panda" / "problems.tar.bz2", "w:bz2") as archive:
+        for name, content in files.items():
+            text = yaml.safe_dump(content).encode()
+            member = tarfile.TarInfo(f"problems/box_panda/{name}.yaml")
+            member.size = len(text)
+            archive.addfile(member, io.BytesIO(text))
+    return folder
+
+
 def test_motionbenchmaker(tmp_path: Path) -> None:
-    problems = Path(__file__).parents[3] / "shared" / "data" / "motionbenchmaker"
-    if not problems.is_dir():
-        pytest.skip("MotionBenchMaker's problems are not next to the project")
+    public = Path(__file__).parents[3] / "shared" / "data" / "vamp"
+    files, robots = (public, ("panda", "ur5", "fetch")) if public.is_dir() else (_problems(tmp_path), ("panda",))
     try:
         peer = ["--peer", "roboplan"] if find_spec("roboplan") else []
-        rows = rows_of("panda", tmp_path, "--files", str(problems), "--effort", "quick", *peer)
+        options = "--files", str(files), "--only", "box", *robots, "--effort", "quick", *peer
+        rows = rows_of("motionbenchmaker", tmp_path, *options)
     except InputError as error:
         pytest.skip(error.message)
-    assert len(rows) == 7
-    assert all(row["certified"] and row["contacts"] + row["own_contacts"] == 0 for row in rows)
-    assert all(row["peer_solved"] and row["to_peer"] < 1.3 for row in rows if peer)
+    assert [row["group"][0] for row in rows] == [
+        robot + words for robot in robots for words in ("", " loaded", " pose", " pose loaded")
+    ]
+    assert all(row["free"] and row["certified"] and row["contacts"] == 0 and row["limits"] < 1.005 for row in rows)
+    assert all(row["peer_solved"] and row["to_peer"] < 1.3 for row in rows if peer and "pose" not in row["name"])
+
+
+def test_motionbenchmaker_reads_the_scene(tmp_path: Path) -> None:
+    problem = motionbenchmaker.Problem("panda", "box", 1, "joints", "unloaded")
+    try:
+        scene = motionbenchmaker.scene_of(_problems(tmp_path), problem)
+    except InputError as error:
+        pytest.skip(error.message)
+    (block,) = scene.obstacles
+    assert block.center == pytest.approx((0.55, 0.0, 0.45), abs=1e-12)
+    assert block.size == (0.2, 0.04, 0.2)
+    assert scene.goal.configuration[0] == 0.6
+    config = StudyConfig(files=tmp_path, first=1, step=2, count=2, only=frozenset({"panda", "box", "pose", "loaded"}))
+    assert [problem.number for problem in motionbenchmaker.problems(config)] == [1, 3]
 
 
 def test_exit_status_reports_faults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,6 +166,8 @@ def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         (["fastest", "--count", "0"], "--count"),
         (["everything"], "one of reference"),
         (["random"], "needs --robot"),
+        (["motionbenchmaker", "--files", "x", "--only", "baxter"], "--only"),
+        (["fastest", "--only", "cage"], "one of none for fastest"),
         (["fastest", "--peer", "roboplan"], "one of RRTConnect, BITstar for fastest"),
         (["deadlines", "--values", "deadlines"], "--values"),
         (["cells", "--compare", str(tmp_path), str(tmp_path)], "no study is in both"),

@@ -358,7 +358,7 @@ def certify_gently(
         if certificate.verified or _moves_goal_too_far(problem, certificate):
             break
         speeds = gentle_speeds(certificate.pushes_by_segment, trajectory.duration, ease_s)
-        if speeds is None:
+        if speeds is None or np.trapezoid(1.0 / speeds[:, 1], speeds[:, 0]) > _MOST_SLOWED * quick.duration:
             break
         with suppress(TimingError):
             slower = trajectory.scale_speed(speeds, problem.robot)
@@ -372,6 +372,9 @@ def _moves_goal_too_far(problem: Problem, certificate: Certificate) -> bool:
     wood, displacement = problem.scene.wood, certificate.goal_displacement_m
     return wood is not None and displacement is not None and displacement > wood.capture_range
 
+
+#: Maximum duration of a motion that is slowed down for impacts, as a multiple of the quickest one on its path.
+_MOST_SLOWED = 5.0
 
 #: Times before and after a contact in which a motion is slowed down, tried in turn [s].
 _EASE_S = (0.15, 0.4, math.inf, math.inf)

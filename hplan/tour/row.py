@@ -579,9 +579,20 @@ def _report(
                 "not_picked": [item.fruit for item in stop.tour.unreached],
                 "verified": stop.tour.certificate.verified,
                 "min_clearance_m": stop.tour.certificate.min_clearance_m,
+                **({} if scene.wood is None else _largest_loads([stop])),
             }
             for stop in stops
         ],
+        **({} if scene.wood is None else _largest_loads(stops)),
+    }
+
+
+def _largest_loads(stops: Sequence[RowStop]) -> dict[str, float]:
+    """Largest bounds of force [N] and stress [MPa] on limbs and fruit in the tours of some stops."""
+    pushes = [push for stop in stops for push in stop.tour.certificate.pushes or ()]
+    return {
+        "max_force_n": max((push.force_n or 0.0 for push in pushes), default=0.0),
+        "max_stress_mpa": max((push.stress_mpa or 0.0 for push in pushes), default=0.0),
     }
 
 

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
 
 import hplan
-from hplan import PlanOptions
+from hplan import PlanOptions, Trajectory
+from hplan.base.arrays import FloatArray
+from hplan.certificate.certificate import Certificate
+from hplan.planning import motion
 from hplan.planning.less_force import LONGER
+from hplan.planning.problem import Problem
 from hplan.planning.result import PlanResult
 from hplan.scene import Goal, Scene, load_scene, with_limbs
 
@@ -54,3 +63,22 @@ def test_gentle_motions_take_little_longer_and_push_less() -> None:
         assert gentle.trajectory.duration <= LONGER * quick.trajectory.duration
         assert largest_force(gentle) <= largest_force(quick)
     assert sum(largest_force(gentle) < largest_force(quick) for quick, gentle in pairs) > 0
+
+
+@pytest.mark.parametrize(("fraction", "slowed"), [(0.5, 2), (0.25, 1), (0.1, 0)])
+def test_motions_are_not_slowed_down_without_end(fraction: float, slowed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = orchard(bends=True).with_values(goal=Goal(fruit=PUSHING[0]))
+    problem, plan = Problem.from_scene(robot(), scene, PlanOptions()), motion_to(PUSHING[0])
+    refused, tried = replace(plan.certificate, verified=False), list[float]()
+
+    def refuse(_: Problem, trajectory: Trajectory, *among: Any) -> Certificate:
+        tried.append(trajectory.duration)
+        return refused
+
+    def slow_down(_: Any, duration_s: float, ease_s: float) -> FloatArray:
+        return np.array([[0.0, fraction], [duration_s, fraction]])
+
+    monkeypatch.setattr(motion, "certificate_of", refuse)
+    monkeypatch.setattr(motion, "gentle_speeds", slow_down)
+    assert motion.certify_gently(problem, plan.trajectory) == (plan.trajectory, refused)
+    assert len(tried) == 1 + slowed

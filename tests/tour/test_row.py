@@ -17,6 +17,7 @@ from hplan.apps.cli.main import main
 from hplan.base.arrays import FloatArray
 from hplan.errors import InputError, OptionError, TourError
 from hplan.robot.model import Robot, load_robot
+from hplan.scene import Wood, with_limbs
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box
 from hplan.scene.orchard import MeasuredOptions, measured_orchard
@@ -215,3 +216,15 @@ def test_command(scene: Scene, row: RowResult, tmp_path: Path) -> None:
     assert hplan.read_csv(tmp_path / "out" / "stop-01.csv").duration == pytest.approx(row.stops[0].tour.duration)
     page = (tmp_path / "out" / "scene.html").read_text()
     assert page.count('target="stop"') == len(row.stops)
+
+
+# Limbs
+
+
+def test_row_among_limbs_keeps_the_limits(arm: Robot, scene: Scene) -> None:
+    bending = with_limbs(scene, Wood(contact_force=6.0, wood_stress_mpa=20.0))
+    found = plan_row(arm, bending, QUICK, row=replace(COARSE, both=False))
+    assert all(stop["verified"] for stop in found.report["stops"])
+    assert 0.0 < found.report["max_force_n"] <= 8.0  # 6 N on limbs, 8 N on stalks
+    assert 0.0 < found.report["max_stress_mpa"] <= 20.0
+    assert found.report["max_force_n"] == max(stop["max_force_n"] for stop in found.report["stops"])

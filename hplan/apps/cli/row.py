@@ -200,6 +200,11 @@ def _show_row(console: Console, result: RowResult, files: str) -> None:
         ("time", f"{report['total_s']:.1f} s: {parts}"),
         ("per fruit", f"{report['motion_s_per_fruit']:.2f} s of motion, [bold]{with_drive}[/]"),
         ("per hour", f"{report['fruit_per_hour']:.0f} fruits"),
+    ]
+    if "max_force_n" in report:
+        loads = f"at most {report['max_force_n']:.2g} N and {report['max_stress_mpa']:.2g} MPa"
+        facts.append(("limbs", f"{loads} on limbs and stalks that are pushed"))
+    facts += [
         ("certificate", describe_certificate(all(stop["verified"] for stop in report["stops"]))),
         ("files", escape(files)),
     ]

@@ -27,6 +27,9 @@ from hplan.trajectory.spline import STRIDE, MovableSpline, SplinePath
 #: Maximum number of rounds of pushing.
 _PUSH_ROUNDS = 40
 
+#: Pushing is abandoned if a piece in collision has this multiple of the margin at all samples.
+_UNSEEN = 1.5
+
 #: Pushing is abandoned after `_STALLED` rounds in which the total clearance deficit did not fall below `_SHRUNK` times
 #: its previous minimum.
 _STALLED, _SHRUNK = 8, 0.9
@@ -95,12 +98,16 @@ def push_out(spline: MovableSpline, field: FieldArrays, joints: JointArrays, mar
     count, dof = control.shape
     lower, upper, movable = joints.lower, joints.upper, joints.movable
     piece, gradient, weight = np.empty((4, dof)), np.empty(dof), np.empty(4)
+    is_clear = np.zeros(count - 3, dtype=np.bool_)  # Of pieces that have not moved since.
     lowest, since = math.inf, 0
     for _ in range(_PUSH_ROUNDS):
         contact, missing = False, 0.0
         for i in range(count - 3):
+            if is_clear[i]:
+                continue
             bezier_piece(control, knots, i + 3, piece)
             if piece_is_clear(piece, field, margin, STRIDE):
+                is_clear[i] = True
                 continue
             if is_up(field.until):
                 return False
@@ -109,7 +116,8 @@ def push_out(spline: MovableSpline, field: FieldArrays, joints: JointArrays, mar
             square = 0.0
             for j in movable:
                 square += gradient[j] * gradient[j]
-            if square < 1e-8:
+            # What the proof meets between the samples is not pushed off if all samples are far from it.
+            if square < 1e-8 or least > _UNSEEN * margin:
                 return False
             missing += margin - least
             # Divide the step among the four control points about in proportion to their weights on the curve there.
@@ -124,7 +132,18 @@ def push_out(spline: MovableSpline, field: FieldArrays, joints: JointArrays, mar
                     total += weight[c] * weight[c]
             if total < 1e-6:
                 return False
-            step = 1.2 * (max(2.0 * margin, 1e-3) - least) / square / total
+            # Control points at a joint limit move by the other joints only.
+            stuck = 0.0
+            for c in range(4):
+                if 0 < i + c < count - 1:
+                    for j in movable:
+                        at_limit = control[i + c, j] >= upper[j] if gradient[j] > 0.0 else control[i + c, j] <= lower[j]
+                        if at_limit:
+                            stuck += weight[c] * weight[c] * gradient[j] * gradient[j]
+            if stuck > (1.0 - 1e-6) * square * total:
+                return False
+            step = 1.2 * (max(2.0 * margin, 1e-3) - least) / square / total / (1.0 - stuck / (square * total))
+            is_clear[max(0, i - 3) : i + 4] = False
             for c in range(4):
                 if 0 < i + c < count - 1:
                     for j in movable:

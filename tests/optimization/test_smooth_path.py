@@ -203,6 +203,14 @@ def test_pushing_keeps_the_joint_limits(robot, field, grid_path, options):
     assert left > 0
 
 
+def test_few_control_points_suffice_at_joint_limits(field, grid_path, options):
+    """Joints at a limit leave a push to the others: limits do not take more than twice the control points."""
+    taut = shorten(grid_path, field, margin=1e-3)
+    for lower, upper in ((options.lower, options.upper), (taut.min(axis=0), taut.max(axis=0))):
+        limited = replace(options, lower=lower, upper=upper)
+        assert all(clear_spline(taut, field, limited, count=count, margin=1e-3) is not None for count in (6, 7, 9, 10))
+
+
 def test_coarse_profile_is_about_that_of_toppra(robot, field, grid_path, options, limits):
     """Without torque and jerk limits, to a few per cent."""
     pushed = clear_spline(shorten(grid_path, field, margin=MARGIN), field, options, count=8, margin=MARGIN)

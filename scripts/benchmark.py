@@ -44,6 +44,7 @@ STUDIES = {
     "motionbenchmaker": "motionbenchmaker:MOTIONBENCHMAKER",
     "random": "arms:RANDOM",
     "others": "others:OTHERS",
+    "upright": "upright:STUDY",
     "franka": "franka:FRANKA",
     "cells": "cells:CELLS",
     "cell_trees": "cell_trees:CELL_TREES",

@@ -63,6 +63,16 @@ class JointUnit:
         return f"{self.small_factor * value:{digits}} {self.small}"
 
 
+def at_most_deg(angle: float) -> str:
+    """Format an upper bound of an angle in degrees, rounded up.
+
+    Examples:
+        >>> at_most_deg(0.1)
+        '5.73'
+    """
+    return f"{math.ceil(1e2 * math.degrees(angle) - 1e-6) / 1e2:.2f}"
+
+
 #: Units of a revolute joint, and of a prismatic joint.
 TURNING = JointUnit("rad", "N m", ("pos_rad", "vel_rad_s", "acc_rad_s2", "torque_nm"),
     "deg", 180.0 / math.pi, "deg", 180.0 / math.pi)  # fmt: skip

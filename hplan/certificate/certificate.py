@@ -14,6 +14,7 @@ and velocities (trajectories of hplan), the quintic that also matches the accele
 - along straight lines the velocity jumps at the samples, which violates every acceleration and torque limit: such a
   motion is verified only if `velocity_jumps` restricts the requirements to position, velocity and clearance;
 - the acceleration and torque columns, which a controller may feed forward, must keep the limits too;
+- the **tilt** of a tool that has to stay upright is bounded for all times (`hplan.certificate.tool_bounds`);
 - the motion starts and ends at rest and solves the scene's task (`hplan.certificate.task_check`), unless the caller
   disables these checks; if the scene's start is in motion, it starts in that state (`hplan.certificate.start_state`).
 
@@ -64,6 +65,7 @@ from hplan.certificate.pushes import Push
 from hplan.certificate.start_state import start_violations
 from hplan.certificate.task_check import task_violations
 from hplan.certificate.tilted_base import use_on_track
+from hplan.certificate.tool_bounds import tilt_violations, tool_bounds
 from hplan.certificate.touch_risk import TouchRisk, touch_risk
 from hplan.certificate.turning_in_place import clearance_in_place
 from hplan.collision.coal_scene import CoalScene, Contact, OwnContact
@@ -140,6 +142,8 @@ class Certificate:
             motion, on the clock of the tracks [s]; inf for no limit. None if no obstacle moves, or if the motion is not
             verified.
         uncovered_links: Names of the visual links that no collision shape covers: nothing is proved about them.
+        max_tilt_rad: Upper bound of the tilt of a tool that has to stay upright, at all times, tracking errors
+            included [rad]; None in scenes without `upright`.
         goal_displacement_m: Upper bound of the displacement of a grasped fruit by the limbs that are pushed at that
             time [m]; None in scenes without `wood`, and without a fruit to grasp.
         goal_swing_m: Upper bound of its swing about that place after contacts with its limb (`limb_loads.goal_swing`)
@@ -163,6 +167,7 @@ class Certificate:
     uncovered_links: tuple[str, ...] = ()
     goal_displacement_m: float | None = None
     goal_swing_m: float | None = None
+    max_tilt_rad: float | None = None
 
     @property
     def contact_s(self) -> tuple[float, float] | None:
@@ -491,6 +496,10 @@ def certify_among(
         violations += _not_shown(robot, proof, trajectory, part.start, wanted, seen_s[-1])
     proofs = [stretch.proof for stretch in proved]
     last = among[-1][1]
+    tilt = None
+    if last.upright is not None:
+        tilt = tool_bounds(robot, trajectory, last.upright, tracking).tilt_rad
+        violations += tilt_violations(last.upright, tilt)
     missing = [proof.clearance_m for proof in proofs if not proof.is_certified]
     least = min(missing or (proof.clearance_m for proof in proofs))
     motion = ProvedMotion(robot, trajectory, tuple(proved), clearance)
@@ -522,6 +531,7 @@ def certify_among(
         uncovered_links=robot.uncovered_links,
         goal_displacement_m=displacement,
         goal_swing_m=swing,
+        max_tilt_rad=tilt,
     )
 
 
@@ -618,6 +628,7 @@ def all_of(parts: Sequence[Certificate]) -> Certificate:
             (p.goal_displacement_m for p in parts if p.goal_displacement_m is not None), default=None
         ),
         goal_swing_m=max((p.goal_swing_m for p in parts if p.goal_swing_m is not None), default=None),
+        max_tilt_rad=max((p.max_tilt_rad for p in parts if p.max_tilt_rad is not None), default=None),
     )
 
 

@@ -17,6 +17,7 @@ from hplan.certificate.moving_obstacles import checker_in_time
 from hplan.collision.coal_scene import CoalScene, Contact
 from hplan.collision.compliant_solids import check_yield_links
 from hplan.collision.held_objects import holding
+from hplan.errors import InputError, TiltedError
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene, checked_scene
 
@@ -28,14 +29,15 @@ class ConfigurationCheck(Record):
     Arrays have shape (...) for (..., dof) configurations, and () for one configuration.
 
     Attributes:
-        valid: True if the joints are within their limits and all distances exceed the required clearance.
+        valid: True if the joints are within their limits, all distances exceed the required clearance, and the tool is
+            upright if it has to be.
         in_contact: True if the arm touches an obstacle or itself, or exceeds the allowed deflection of a compliant
             obstacle.
         distance_m: Signed distance of the nearest pair, the one with the minimum distance beyond its required
             clearance; negative for penetration depth, inf without any pair [m].
         contacts: That pair for each configuration in turn: link, and obstacle or other link; None without any pair.
-        limit_faults: For each configuration in turn the message about the first joint outside its limits; None if all
-            are within.
+        limit_faults: For each configuration in turn the message about the first joint outside its limits, or about a
+            tool that is not upright; None without any.
     """
 
     valid: BoolArray
@@ -86,7 +88,10 @@ def check(
     checker = _checker(robot, scene, sigmas)
     found = [_looked_at(checker, row, scene.clearance, time_s) for row in rows]
     names = ["q" if not shape else f"q[{', '.join(map(str, index))}]" for index in np.ndindex(shape)]
-    faults = [robot.about(row).limit_fault(row, name) for row, name in zip(rows, names, strict=True)]
+    faults = [
+        robot.about(row).limit_fault(row, name) or _tilt_fault(checker, row, name)
+        for row, name in zip(rows, names, strict=True)
+    ]
     return ConfigurationCheck(
         readonly(
             [valid and fault is None for (valid, _, _), fault in zip(found, faults, strict=True)], np.bool_
@@ -96,6 +101,16 @@ def check(
         tuple(near for _, _, near in found),
         tuple(None if fault is None else fault.message for fault in faults),
     )
+
+
+def _tilt_fault(checker: CoalScene, q: FloatArray, name: str) -> InputError | None:
+    """The error about a tool that is not upright; None if it is, or need not be."""
+    if checker.upright is not None:
+        try:
+            checker.upright.check(checker.robot, q, name)
+        except TiltedError as error:
+            return error.with_traceback(None)
+    return None
 
 
 def _checker(robot: Robot, scene: Scene, sigmas: float) -> CoalScene:

@@ -97,6 +97,8 @@ def scene_digest(scene: Scene) -> str:
     if scene.wood is not None:
         found.add_text("wood", scene.wood.model_dump_json())
         found.add_text(*(f"{o.name} {o.parent}" for o in scene.obstacles if isinstance(o, Capsule) and o.parent))
+    if scene.upright is not None:
+        found.add_text("upright", scene.upright.model_dump_json())
     if scene.start.contact_depth is not None:
         found.add_text("contact_depth", repr(scene.start.contact_depth))
     for key, named in (("start", scene.start.joints), ("goal", scene.goal.joints)):
@@ -105,6 +107,8 @@ def scene_digest(scene: Scene) -> str:
     if scene.goal.quaternion_xyzw is not None:
         found.add_text("goal", scene.goal.frame or "")
         found.add_exactly(np.array(scene.goal.quaternion_xyzw))
+        if scene.goal.rotation_tolerance_deg is not None:
+            found.add_exactly(np.array(scene.goal.rotation_tolerance_deg))
     if scene.start.is_moving:
         for key, values in scene.start.rates.items():
             found.add_text(key)

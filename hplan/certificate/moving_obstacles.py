@@ -20,6 +20,7 @@ from hplan.collision.coal_moving_solids import MovingSolids
 from hplan.collision.coal_scene import CoalScene, Leaving
 from hplan.errors import MovingObstacleError
 from hplan.robot.model import Robot
+from hplan.robot.upright import UprightTool
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import Sigmas, Solid, growths
 from hplan.scene.tracks import Movement
@@ -38,6 +39,7 @@ def checker_in_time(robot: Robot, scene: Scene, sigmas: Sigmas) -> CoalScene:
     return CoalScene(
         robot, solids, growth=grown, movements=movements, yield_links=scene.yield_links,
         clearance=0.0 if leaving is None else scene.clearance, leaving=leaving,
+        upright=UprightTool.of_scene(robot, scene),
     )  # fmt: skip
 
 

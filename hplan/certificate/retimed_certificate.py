@@ -31,9 +31,11 @@ from hplan.certificate.goal_contact import FruitContact
 from hplan.certificate.limit_use import limit_use
 from hplan.certificate.motion_bound import largest_pair_sway
 from hplan.certificate.moving_obstacles import checker_in_time
+from hplan.certificate.tool_bounds import tilt_violations, tool_bounds
 from hplan.collision.coal_scene import CoalScene
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
+from hplan.robot.upright import UprightTool
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import Sigmas
 from hplan.trajectory.trajectory import SAME_TIME, Retimed, Trajectory
@@ -88,7 +90,7 @@ def certified_retiming(
     # If obstacles move, the proof depends on the timing.
     known = running.verified and not scene.moves
     if known and left > scene.clearance and tracking.delay_s == 0.0 and not anew:
-        certificate = _by_path(robot, running, whole, left)
+        certificate = _by_path(robot, running, whole, left, (UprightTool.of_scene(robot, scene), tracking))
     else:
         first = row if known else 0
         checker = checker_in_time(robot, scene, sigmas)
@@ -140,15 +142,27 @@ def certified_from(
     return on_track(found, robot, scene, begin_s, motion.duration)
 
 
-def _by_path(robot: Robot, running: Certificate, motion: Trajectory, left: float) -> Certificate:
-    """Certificate of a motion with the clearance `left` from its path [m]."""
-    use = limit_use(robot, motion, *motion.segments)
+def _by_path(
+    robot: Robot,
+    running: Certificate,
+    motion: Trajectory,
+    left: float,
+    tool: tuple[UprightTool | None, TrackingModel],
+) -> Certificate:
+    """Certificate of a motion with the clearance `left` from its path [m].
+
+    `tool` has the axis that stays upright, or None, and the tracking errors.
+    """
+    use, (upright, tracking), tilt = limit_use(robot, motion, *motion.segments), tool, None
     violations = tuple(limit_violations(use))
+    if upright is not None:
+        tilt = tool_bounds(robot, motion, upright, tracking).tilt_rad
+        violations += tuple(tilt_violations(upright, tilt))
     nearer = running.min_clearance_m - left
     rules = tuple(rule.lower_by(nearer) for rule in running.pair_rules)
     return Certificate(
         not violations, left, running.nearest, use, 0, violations,
-        pair_rules=rules, uncovered_links=robot.uncovered_links,
+        pair_rules=rules, uncovered_links=robot.uncovered_links, max_tilt_rad=tilt,
     )  # fmt: skip
 
 

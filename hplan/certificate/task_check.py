@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+import pinocchio as pin
 
 from hplan.base.arrays import FloatArray
 from hplan.certificate.goal_contact import THERE, instant_at
 from hplan.kinematics.tool_at_point import approach_angles
 from hplan.robot.model import Robot
-from hplan.scene.model import Scene
+from hplan.scene.model import Goal, Scene
 
 #: Tolerance of joint values and of approach angles [rad; m for prismatic joints].
 TASK_TOLERANCE = 1e-5
@@ -23,9 +24,9 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray, times: Float
     """Messages about unsolved parts of the scene's task.
 
     The motion must start at the start and end at the goal: at its joint values, with the tool at its position, or with
-    the frame at its pose, within 1 mm and 0.001 rad. The tool must be at a goal fruit at some sample, since a picking
-    motion goes back. At a goal position or fruit the tool must have the required approach
-    angle. Locked joints must not move.
+    the frame at its pose, within 1 mm and 0.001 rad or the goal's rotation tolerance. The tool must be at a goal fruit
+    at some sample, since a picking motion goes back. At a goal position or fruit the tool must have the required
+    approach angle. Locked joints must not move.
 
     Args:
         robot: The arm.
@@ -52,7 +53,7 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray, times: Float
         return
     pose = scene.goal.pose
     if pose is not None:
-        yield from _describe_pose_difference(robot, pose, scene.goal.frame, rows[-1])
+        yield from _describe_pose_difference(robot, scene.goal, pose, rows[-1])
         return
     resting = scene.resting_goal_fruit
     if resting is None:
@@ -81,15 +82,21 @@ def _describe_joint_difference(robot: Robot, what: str, q: FloatArray, asked: Fl
         yield f"the motion {what} with joint {robot.joint_names[joint]!r} {off[joint]:.4g} rad from the scene's {which}"
 
 
-def _describe_pose_difference(robot: Robot, pose: FloatArray, frame: str | None, q: FloatArray) -> Iterator[str]:
-    """Message about a frame that is not at the goal pose."""
-    off = robot.forward_kinematics(q, frame) - pose
-    away, turn = float(np.linalg.norm(off[:3, 3])), off[:3, :3]
+def _describe_pose_difference(robot: Robot, goal: Goal, pose: FloatArray, q: FloatArray) -> Iterator[str]:
+    """Message about a frame that is not at the goal pose, within its tolerance."""
+    there, tolerance = robot.forward_kinematics(q, goal.frame), goal.rotation_tolerance
+    away, off = float(np.linalg.norm(there[:3, 3] - pose[:3, 3])), there[:3, :3] - pose[:3, :3]
     # The Frobenius norm of the difference of two rotations is sqrt(8) sin(angle / 2).
-    turned = 2.0 * float(np.arcsin(min(np.linalg.norm(turn) / np.sqrt(8.0), 1.0)))
-    if not (away <= THERE and turned <= _ROTATION_TOLERANCE):
+    turned = 2.0 * float(np.arcsin(min(np.linalg.norm(off) / np.sqrt(8.0), 1.0)))
+    is_turned, allowed = turned <= _ROTATION_TOLERANCE, ""
+    if tolerance is not None:
+        vector = pin.log3(pose[:3, :3].T @ there[:3, :3])
+        is_turned = bool((np.abs(vector) <= tolerance + _ROTATION_TOLERANCE).all())
+        about = ", ".join(f"{angle:.4g}" for angle in np.degrees(vector))
+        allowed = f", about its axes ({about}) deg; allowed: {goal.rotation_tolerance_deg}"
+    if not (away <= THERE and is_turned):
         off_by = f"{1e3 * away:.4g} mm and {turned:.4g} rad"
-        yield f"the motion ends with {frame or robot.tool_frame!r} {off_by} from the pose of the goal"
+        yield f"the motion ends with {goal.frame or robot.tool_frame!r} {off_by} from the pose of the goal{allowed}"
 
 
 def _approach(robot: Robot, scene: Scene, q: FloatArray) -> Iterator[str]:

@@ -9,6 +9,8 @@ samples, holds at all times.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +21,7 @@ from hplan.certificate.motion_bound import fastest, largest_deviations
 from hplan.collision.motion_coefficients import carriers, joint_axis, points_reach
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
+from hplan.robot.upright import UprightTool
 from hplan.trajectory.trajectory import Trajectory
 
 #: Number of samples in each cubic of a motion.
@@ -37,30 +40,33 @@ class ToolBounds(NamedTuple):
     tilt_rad: float
 
 
-def tool_bounds(
-    robot: Robot, trajectory: Trajectory, direction: FloatArray, upright: FloatArray, tracking: TrackingModel
-) -> ToolBounds:
+def tool_bounds(robot: Robot, trajectory: Trajectory, upright: UprightTool, tracking: TrackingModel) -> ToolBounds:
     """Bound the tool's distance from its line and its tilt.
 
     Args:
-        direction: (3,) unit vector in the tool frame.
-        upright: (3,) unit vector in `base_link`; the tilt is measured from it.
+        upright: The axis whose tilt is bounded.
         tracking: Tracking errors of the joints.
     """
     pieces, duration = trajectory.segments
     rates, pushes = largest_rates(pieces)
     bent, turned = (bends / (8.0 * _SAMPLES_PER_CUBIC**2) for bends in tool_bends(robot, rates, pushes))
     looks = np.arange(_SAMPLES_PER_CUBIC * len(pieces) + 1) / _SAMPLES_PER_CUBIC
-    poses = robot.forward_kinematics(
-        trajectory.positions(np.interp(looks, np.arange(len(pieces) + 1), trajectory.time))
-    )
-    off, along = _off_segment(poses[:, :3, 3]), poses[:, :3, :3] @ direction @ upright
+    clock = trajectory.time if trajectory.samples > 1 else np.zeros(2)
+    poses = robot.forward_kinematics(trajectory.positions(np.interp(looks, np.arange(len(pieces) + 1), clock)))
+    off, along = _off_segment(poses[:, :3, 3]), poses[:, :3, :3] @ np.array(upright.axis) @ np.array(upright.up)
     deviations = largest_deviations(robot, tracking, fastest(pieces, duration))
     turns = [joint for joint in carriers(robot, robot.tool_joint - 1) if not joint_axis(robot, joint)[1]]
     place = robot.model.frames[robot.frame_number(robot.tool_frame)].placement.translation[None]
     away = _largest_per_cubic(off) + bent + deviations @ points_reach(robot, place, robot.tool_joint - 1)
     lean = np.arccos(np.clip(-_largest_per_cubic(-along) - turned, -1.0, 1.0)) + deviations[:, turns].sum(axis=1)
     return ToolBounds(float(away.max()), float(lean.max()))
+
+
+def tilt_violations(upright: UprightTool, tilt_rad: float) -> Iterator[str]:
+    """Message about a tilt beyond its maximum [rad]."""
+    if not tilt_rad <= upright.max_tilt_rad:
+        allowed = math.degrees(upright.max_tilt_rad)
+        yield f"the tool tilts by up to {math.degrees(tilt_rad):.4g} deg from upright; allowed: {allowed:.4g} deg"
 
 
 def _largest_per_cubic(values: FloatArray) -> FloatArray:

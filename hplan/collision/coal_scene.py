@@ -42,6 +42,7 @@ from hplan.collision.distance_checker import FAR
 from hplan.collision.self_pairs import required_distances
 from hplan.errors import MovingObstacleError
 from hplan.robot.model import Robot
+from hplan.robot.upright import UprightTool
 from hplan.scene.obstacle_kind import ContactLimit
 from hplan.scene.obstacles import Solid
 from hplan.scene.tracks import Movement
@@ -118,6 +119,7 @@ class CoalScene:
             pairs.
         clearance: Required clearance [m]; parts of the arm that can come nearer form pairs.
         moving: The moving obstacles with their movements; None if no obstacle moves.
+        upright: The tool axis that stays upright during certified motions; None if the tool may tilt.
         supported: Names of a link and an obstacle that supports it (`hplan.collision.coal_arm.supports`); their
             distance counts as infinite.
     """
@@ -133,6 +135,7 @@ class CoalScene:
         movements: Sequence[Movement | None] = (),
         yield_links: Sequence[str] | None = None,
         leaving: Leaving | None = None,
+        upright: UprightTool | None = None,
     ) -> None:
         """Build the geometry of a robot among obstacles.
 
@@ -146,6 +149,7 @@ class CoalScene:
             yield_links: Names of the links that may push compliant obstacles; None for the links on the last two
                 joints.
             leaving: Start whose obstacles may be nearer than the clearance; None for none.
+            upright: The tool axis that stays upright; None if the tool may tilt.
 
         Raises:
             OptionError: A name in `yield_links` is not a moving link.
@@ -160,7 +164,9 @@ class CoalScene:
             "movements": tuple(movements),
             "yield_links": None if yield_links is None else tuple(yield_links),
             "leaving": leaving,
+            "upright": upright,
         }
+        self.upright = upright
         self.moving = MovingSolids.combine(obstacles, movements)
         self._touched: tuple[tuple[str, tuple[str, ...]], ...] = ()
         self.deviation, self.clearance = float(deviation), float(clearance)

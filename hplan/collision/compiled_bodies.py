@@ -14,6 +14,7 @@ from hplan.collision.self_folds import Fold, folds
 from hplan.collision.self_pairs import required_distances, self_pairs
 from hplan.geometry.convex_distance import corner_table
 from hplan.robot.model import Robot, made_once
+from hplan.robot.upright import UprightTool
 
 #: Columns of a body: its joint (`dof` for the ground); offsets of the start and end of its points, and of their table
 #: (`hplan.geometry.convex_distance`; 0 for none); its rounding radius; centre and radius of a bounding ball; start,
@@ -37,6 +38,10 @@ BODY = np.dtype(
 
 #: Columns of a pair: its bodies, first the one whose motion relative to the other is considered; the distances of their
 #: hulls, of their ball centres and of their segments at which contact is excluded.
+#:
+#: The tilt of a tool axis is a pair, too: its distance is `tilt_m` [m/rad] times the angle that is left to `most_tilt`
+#: [rad]. `axis` is the direction in the frame of the joint `carrier`, and `up` the one in `base_link` from which the
+#: tilt is measured. `tilt_m` is 0 for pairs of bodies; both bodies of a tilt are the first one.
 PAIR = np.dtype(
     [
         ("outer", np.int64),
@@ -44,9 +49,17 @@ PAIR = np.dtype(
         ("hull_distance", np.float64),
         ("ball_distance", np.float64),
         ("axis_distance", np.float64),
+        ("tilt_m", np.float64),
+        ("most_tilt", np.float64),
+        ("carrier", np.int64),
+        ("axis", np.float64, 3),
+        ("up", np.float64, 3),
     ],
     align=True,
 )
+
+#: Distance that the whole permitted tilt counts as [m]: margins of a few millimetres are a few percent of it.
+TILT_AS_M = 0.08
 
 #: Columns of a joint with value q: three 3x3 matrices A, B, C by rows, for its rotation A + B cos(q) + C sin(q) in the
 #: parent's frame; its position and the direction of its shift by q; its parent's index (`dof` for the base); its
@@ -89,20 +102,38 @@ class FlatBodies(Record):
     points: FloatArray
 
     @classmethod
-    def build(cls, robot: Robot, own_clearance: float = 0.0, deviation: float = 0.0) -> FlatBodies:
+    def build(
+        cls, robot: Robot, own_clearance: float = 0.0, deviation: float = 0.0, upright: UprightTool | None = None
+    ) -> FlatBodies:
         """Flatten the bodies of a robot.
 
         Args:
             robot: The robot.
             own_clearance: Required clearance of the self-collision pairs [m].
             deviation: Maximum deviation of every joint [rad, m]; bodies are grown by their displacement bound.
+            upright: The tool axis that stays upright; None if the tool may tilt.
         """
         parts = folds(robot, deviation, own_clearance)
         still = robot.cache(("flat bodies", parts), lambda: _of_bodies(robot, parts))
         farthest = np.append(self_pairs(robot).farthest, [part.farthest for part in parts])
         kept = np.append(np.zeros(len(still.bodies)), required_distances(farthest, own_clearance))
+        if upright is not None:
+            still, kept = still._with_tilt(robot, upright), np.append(kept, 0.0)
         bodies, pairs = thicker(still.bodies, still.pairs, deviation * still.reaches.sum(axis=1) + kept)
         return replace(still, bodies=bodies, pairs=pairs)
+
+    def _with_tilt(self, robot: Robot, upright: UprightTool) -> FlatBodies:
+        """Return the bodies with the tilt of the tool as the last pair."""
+        pairs, carrier = np.zeros(len(self.pairs) + 1, PAIR), robot.tool_joint - 1
+        pairs[:-1], row = self.pairs, pairs[-1]
+        row["tilt_m"], row["most_tilt"] = TILT_AS_M / upright.max_tilt_rad, upright.max_tilt_rad
+        row["ball_distance"] = TILT_AS_M  # as near as bodies can be: the centres of both are one point
+        row["carrier"] = robot.dof if carrier < 0 else carrier
+        frame = robot.model.frames[robot.frame_number(robot.tool_frame)]
+        row["axis"], row["up"] = frame.placement.rotation @ np.array(upright.axis), upright.up
+        turns = np.zeros(robot.dof)
+        turns[[joint for joint in carriers(robot, carrier) if not robot.slides[joint]]] = row["tilt_m"]
+        return replace(self, pairs=frozen(pairs), reaches=frozen(np.vstack([self.reaches, turns])))
 
     def with_pairs(self, chosen: BoolArray) -> FlatBodies:
         """Return the bodies with some of the pairs, by a (pairs,) mask."""

@@ -1,6 +1,7 @@
 """Kernels for clearances of moving bodies at a configuration and their gradients.
 
-The moving bodies are the arm's bodies (`hplan.collision.compiled_bodies`) followed by its self-collision pairs. The
+The moving bodies are the arm's bodies (`hplan.collision.compiled_bodies`) followed by its self-collision pairs; the
+tilt of a tool that has to stay upright is one of these pairs. The
 distance of a pair is expressed in the frame of one of its bodies, so a joint that carries both does not count as
 motion. Bodies and obstacles are convex hulls of points grown by a radius; their distance is the distance of the hulls
 (`hplan.geometry.convex_distance`) minus both radii. Checks run from cheap to exact: bounding balls first, then the
@@ -32,7 +33,7 @@ from hplan.geometry.convex_distance import NEAREST, ON_FIRST, WORK, Span, Wanted
 from hplan.geometry.penetration import penetration
 from hplan.geometry.segment_distance import off_box, off_segment, point_segment
 from hplan.geometry.sweep import STILL
-from hplan.geometry.vectors import Pose, Vector, dot, sub, turned_back, vector_of
+from hplan.geometry.vectors import Pose, Vector, cross, dot, sub, turned_back, vector_of
 
 _FIRST_ROW = any_int(0)
 
@@ -327,11 +328,40 @@ def _near_below(
     return -1
 
 
+@inline
+def tilting_axis(arm: BodyArrays, k: int) -> Vector:
+    """Direction of the tool axis of a tilt, in `base_link`."""
+    pair, frames = arm.pairs[k - len(arm.bodies)], arm.frames
+    axis, j = vector_of(pair.axis), pair.carrier
+    return (
+        frames[j, 0] * axis[0] + frames[j, 1] * axis[1] + frames[j, 2] * axis[2],
+        frames[j, 3] * axis[0] + frames[j, 4] * axis[1] + frames[j, 5] * axis[2],
+        frames[j, 6] * axis[0] + frames[j, 7] * axis[1] + frames[j, 8] * axis[2],
+    )
+
+
+@kernel
+def tilt_clearance(arm: BodyArrays, k: int) -> float:
+    """Angle left to the maximum tilt, as a distance [m].
+
+    The axis of the rotation that brings the tool upright is written to the buffer, from `WORK` on.
+    """
+    pair, work = arm.pairs[k - len(arm.bodies)], arm.work
+    axis, up = tilting_axis(arm, k), vector_of(pair.up)
+    n = cross(axis, up)
+    work[WORK], work[WORK + 1], work[WORK + 2] = n
+    tilt = math.atan2(math.sqrt(dot(n, n)), dot(axis, up))
+    left: float = pair.tilt_m * (pair.most_tilt - tilt) - pair.hull_distance
+    return left
+
+
 @kernel
 def _pair_clearance(arm: BodyArrays, k: int, enough: float) -> float:
     """Clearance of a self-collision pair, clamped to `enough` [m]."""
     bodies, points, placed, work = arm.bodies, arm.points, arm.placed, arm.work
     pair = arm.pairs[k - len(bodies)]
+    if pair.tilt_m > 0.0:
+        return min(enough, tilt_clearance(arm, k))
     j, i, touching = pair.outer, pair.inner, pair.hull_distance
     dx, dy, dz, t, shown = off_body(placed, j, i)
     if shown > 0.0:
@@ -434,6 +464,10 @@ def body_slopes(
             continue
         n = (n[0] / length, n[1] / length, n[2] / length)
         at = (work[WORK + 3], work[WORK + 4], work[WORK + 5])
+        if inner >= 0 and pairs[k - len(bodies)].tilt_m > 0.0:
+            for m in range(len(joints)):
+                gradient[k, m] = _righting_rate(arm, k, joints[m], n)
+            continue
         for m in range(len(joints)):
             gradient[k, m] = _rate(arm, outer, joints[m], n, at)
         if inner >= 0:
@@ -444,9 +478,29 @@ def body_slopes(
 
 
 @kernel
+def _righting_rate(arm: BodyArrays, k: int, joint: int, n: Vector) -> float:
+    """Derivative of a tilt's distance by a joint, n the unit axis of the rotation upright [m/rad]."""
+    pair, own, frames = arm.pairs[k - len(arm.bodies)], arm.joints[joint], arm.frames
+    if own.slides or not _is_beyond(arm, pair.carrier, joint):
+        return 0.0
+    tx, ty, tz = vector_of(own.axis)
+    x = frames[joint, 0] * tx + frames[joint, 1] * ty + frames[joint, 2] * tz
+    y = frames[joint, 3] * tx + frames[joint, 4] * ty + frames[joint, 5] * tz
+    z = frames[joint, 6] * tx + frames[joint, 7] * ty + frames[joint, 8] * tz
+    rate: float = pair.tilt_m * (n[0] * x + n[1] * y + n[2] * z)
+    return rate
+
+
+@kernel
 def _carries(arm: BodyArrays, b: int, joint: int) -> bool:
     """True if a joint moves a body."""
-    joints, j = arm.joints, arm.bodies[b].joint
+    return _is_beyond(arm, arm.bodies[b].joint, joint)
+
+
+@kernel
+def _is_beyond(arm: BodyArrays, j: int, joint: int) -> bool:
+    """True if a joint is j, or carries it."""
+    joints = arm.joints
     while j < len(joints) and j != joint:
         j = joints[j].parent
     carries: bool = j == joint and j < len(joints)

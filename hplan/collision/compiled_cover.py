@@ -40,6 +40,8 @@ from hplan.collision.compiled_clearance import (
     pose_of,
     segment_of,
     span_of,
+    tilt_clearance,
+    tilting_axis,
 )
 from hplan.collision.compiled_obstacles import FieldArrays
 from hplan.collision.compiled_placements import PLACED, place_bodies
@@ -142,7 +144,7 @@ def part_shown_clear(q: FloatArray, rates: FloatArray, moving: Moving, back: flo
             x, y, z = sub(vector_of(placed[pair.outer].centre), vector_of(placed[pair.inner].centre))
             beyond = pair.ball_distance + margin + max(part.back, part.forward) * bends[k, 0]
             if x * x + y * y + z * z < beyond * beyond:
-                part = _of_pair(moving, k, part)
+                part = _of_tilt(moving, k, part) if pair.tilt_m > 0.0 else _of_pair(moving, k, part)
         if part.forward < 0.0:
             break
     return part
@@ -366,6 +368,26 @@ def _of_lot(moving: Moving, place: tuple[int, int], motion: _Motion, part: Part)
             if part.forward < 0.0:
                 break
     return part
+
+
+@kernel
+def _of_tilt(moving: Moving, k: int, part: Part) -> Part:
+    r"""Part of a segment in which the tool cannot tilt too far.
+
+    The tilt changes by no more than the path of the tool axis on the unit sphere is long: its speed is
+    :math:`|\omega \times u|` now, and its acceleration is bounded.
+    """
+    arm, margin = moving.arm, moving.margin
+    clear = tilt_clearance(arm, k)
+    if not clear >= margin:
+        return Part(-1.0, -1.0)
+    pair = arm.pairs[k - len(arm.bodies)]
+    swept = cross(_spin(arm.frames, pair.carrier), tilting_axis(arm, k))
+    speed, most, bend = pair.tilt_m * math.sqrt(dot(swept, swept)), moving.bends[k, 0], moving.bends[k, 1]
+    return Part(
+        _clearance_duration(clear - 0.5 * margin, speed, most, bend, part.back),
+        _clearance_duration(clear - 0.5 * margin, speed, most, bend, part.forward),
+    )
 
 
 @kernel

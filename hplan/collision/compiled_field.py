@@ -1,6 +1,7 @@
 """Clearance of the arm, and motions verified collision-free over continuous time.
 
-The moving bodies are the arm's bodies, followed by its self-collision pairs (`hplan.collision.compiled_bodies`). A
+The moving bodies are the arm's bodies, followed by its self-collision pairs and, if the tool has to stay upright, its
+tilt, which counts as the distance of a pair (`hplan.collision.compiled_bodies`). A
 motion is verified collision-free by bounds on the motion of the bodies (`hplan.collision.compiled_motions`).
 """
 
@@ -23,6 +24,7 @@ from hplan.collision.compiled_obstacles import JOINT_RANGE, OBSTACLE, FieldArray
 from hplan.collision.distance_checker import FAR
 from hplan.errors import OptionError
 from hplan.robot.model import Robot
+from hplan.robot.upright import UprightTool
 from hplan.scene.obstacles import Solid
 
 #: Maximum rotation of a joint between two samples of a motion in `near` [rad].
@@ -75,6 +77,7 @@ class ClearanceField(Record):
         own_clearance: float | None = None,
         deviation: float = 0.0,
         joints: BoolArray | None = None,
+        upright: UprightTool | None = None,
     ) -> ClearanceField:
         """Build the field of a robot among obstacles.
 
@@ -84,11 +87,12 @@ class ClearanceField(Record):
             deviation: Joint error bound [rad]; each body is thickened by the displacement that this error can cause.
             joints: (obstacles, dof) mask of the joints whose bodies keep clear of each obstacle; None for all joints
                 and obstacles.
+            upright: The tool axis that stays upright; None if the tool may tilt.
         """
         growth = np.asarray(clearance, dtype=np.float64)
         own = float(growth.min()) if own_clearance is None and growth.size else own_clearance or 0.0
         solids, data, owner = rows_of(obstacles, growth, joints)
-        return cls(FlatBodies.build(robot, own, deviation), frozen(solids), frozen(data), frozen(owner))
+        return cls(FlatBodies.build(robot, own, deviation, upright), frozen(solids), frozen(data), frozen(owner))
 
     def select(self, kept: BoolArray, *, arm: bool = True) -> ClearanceField:
         """Return the field of a subset of the obstacles.

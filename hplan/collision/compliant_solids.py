@@ -23,6 +23,7 @@ from hplan.collision.motion_coefficients import carriers
 from hplan.errors import OptionError
 from hplan.geometry.cloud import Cloud
 from hplan.robot.model import Robot
+from hplan.robot.upright import UprightTool
 from hplan.scene.obstacles import Solid
 
 #: Maximum depth in a limb as a share of the radii of the limb and of the thinnest body that may push it.
@@ -115,8 +116,15 @@ class LinkedSolids(Record):
             frozen(np.concatenate([joints, nearer])),
         )
 
-    def field(self, robot: Robot, *, own_clearance: float | None = None, deviation: float = 0.0) -> ClearanceField:
-        """Clearance field of the arm among the solids (see `ClearanceField.of`)."""
+    def field(
+        self,
+        robot: Robot,
+        *,
+        own_clearance: float | None = None,
+        deviation: float = 0.0,
+        upright: UprightTool | None = None,
+    ) -> ClearanceField:
+        """Clearance field of the arm among the solids (see `ClearanceField.build`)."""
         return ClearanceField.build(
             robot,
             self.solids,
@@ -124,6 +132,7 @@ class LinkedSolids(Record):
             own_clearance=own_clearance,
             deviation=deviation,
             joints=self.joints,
+            upright=upright,
         )
 
     def name_mask(self, names: Collection[str]) -> BoolArray:

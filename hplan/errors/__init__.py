@@ -17,6 +17,7 @@ line (`exit_status`); a class without a number inherits the one of its parent::
     |   +-- SceneError (also a ValueError)        scene or scene file is invalid
     |   |   +-- StudyError                        study or study file is invalid
     |   +-- StartStateError                       start velocity or acceleration is infeasible
+    |   +-- TiltedError                           start or goal does not hold the tool upright
     +-- ApproachError                          3  no straight approach of the required length
     +-- BlockedError                           3  every goal configuration is in collision
     +-- NoPathError                            3  proved: no path exists
@@ -69,6 +70,7 @@ from hplan.errors.bad_input import (
     SceneError,
     StartStateError,
     StudyError,
+    TiltedError,
 )
 from hplan.errors.motion import (
     BoundError,
@@ -129,6 +131,7 @@ __all__ = [
     "SceneError",
     "StartStateError",
     "StudyError",
+    "TiltedError",
     "TimingError",
     "TourError",
     "UnavoidableContactError",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -264,6 +265,35 @@ class FrameError(InputError):
 
     def __init__(self, name: str, reason: str, **facts: Any) -> None:
         super().__init__(f"frame of {name!r}: {reason}", name=name, reason=reason, **facts)
+
+
+class TiltedError(InputError):
+    """A configuration does not hold the tool upright.
+
+    Attributes:
+        which: `start`, `goal` or, for example, `waypoint 3`.
+        tilt_rad: Tilt of the tool, tracking error included [rad].
+        max_tilt_rad: Maximum tilt of the scene [rad].
+
+    Examples:
+        >>> from hplan.errors import TiltedError
+        >>> TiltedError("goal", 0.2, 0.1).tilt_rad
+        0.2
+    """
+
+    which: str
+    tilt_rad: float
+    max_tilt_rad: float
+
+    def __init__(self, which: str, tilt_rad: float, max_tilt_rad: float) -> None:
+        tilt, most = math.degrees(tilt_rad), math.degrees(max_tilt_rad)
+        super().__init__(
+            f"{which} does not hold the tool upright: it tilts by {tilt:.4g} deg, and at most {most:.4g} deg is "
+            "allowed (upright)",
+            which=which,
+            tilt_rad=tilt_rad,
+            max_tilt_rad=max_tilt_rad,
+        )
 
 
 class ConfigurationInCollisionError(InputError):

@@ -316,29 +316,6 @@ def linearise(chain: Chain, q: FloatArray, frames: FloatArray, error: FloatArray
 
 
 @kernel
-def write_tilt(configurations: FloatArray, chain: Chain, cosines: FloatArray, slopes: FloatArray) -> None:
-    """Write the cosine of the tool's tilt, and its gradient.
-
-    Args:
-        configurations: (k, dof) configurations.
-        chain: The robot and the upright direction.
-        cosines: (k,) cosines; written.
-        slopes: (k, dof) gradients; written.
-    """
-    dof, pose = configurations.shape[1], chain.pose
-    frames, tool, error, jacobian = np.empty((dof + 1, 12)), np.empty(12), np.empty(6), np.empty((6, dof))
-    for row in range(configurations.shape[0]):
-        linearise(chain, configurations[row], frames, error, jacobian)
-        place_frame(chain, configurations[row], frames, tool)
-        cosines[row] = tool[2] * pose[2] + tool[5] * pose[5] + tool[8] * pose[8]
-        x = tool[5] * pose[8] - tool[8] * pose[5]
-        y = tool[8] * pose[2] - tool[2] * pose[8]
-        z = tool[2] * pose[5] - tool[5] * pose[2]
-        for j in range(dof):
-            slopes[row, j] = jacobian[3, j] * x + jacobian[4, j] * y + jacobian[5, j] * z
-
-
-@kernel
 def place_frame(chain: Chain, q: FloatArray, frames: FloatArray, tool: FloatArray) -> None:
     """Write the frames of all joints and the chain's (12,) pose."""
     placement = chain.placement

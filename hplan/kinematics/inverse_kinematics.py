@@ -21,7 +21,7 @@ from hplan.base.arrays import FloatArray, frozen, numbers
 from hplan.collision.compiled_bodies import joint_table
 from hplan.collision.motion_coefficients import carriers, joint_axis
 from hplan.errors import InputError, UnreachableError
-from hplan.kinematics.damped_steps import ABOUT_Z, KEPT, Chain, solve_all
+from hplan.kinematics.damped_steps import ABOUT_Z, KEPT, Chain, solve_all, solve_each
 from hplan.robot.model import Robot
 
 #: Default and maximum number of starts.
@@ -39,6 +39,7 @@ def inverse_kinematics(
     frame: str | None = None,
     seeds: int = _SEEDS,
     free_turn: bool = False,
+    rotation_tolerance_rad: ArrayLike | None = None,
     locked: Sequence[str] = (),
     seed: int = 0,
 ) -> FloatArray:
@@ -53,6 +54,9 @@ def inverse_kinematics(
         frame: Name of the frame; None for the tool frame.
         seeds: Number of starts.
         free_turn: Whether rotation about the frame's z axis is free.
+        rotation_tolerance_rad: (3,) maximum components, about x, y and z of the pose, of the rotation vector from the
+            pose to the frame [rad]. Each start but the first two has an orientation of its own within them. None for
+            the exact orientation.
         locked: Names of joints that keep their start values.
         seed: Random seed of the starts beyond the first two.
 
@@ -76,7 +80,11 @@ def inverse_kinematics(
     chain.moves[keeps] = 0.0
     starts = spread_starts(robot, begin, chain, count, check_integer("seed", seed, 0))
     solutions, found = np.empty(starts.shape), np.zeros(len(starts), dtype=np.bool_)
-    solve_all(starts, chain, solutions, found)
+    if rotation_tolerance_rad is None:
+        solve_all(starts, chain, solutions, found)
+    else:
+        largest = numbers("rotation_tolerance_rad", rotation_tolerance_rad, (3,), most=math.pi)
+        solve_each(starts, _turned_poses(chain.pose, largest, count), chain, solutions, found)
     if not found.any():
         asked = "this pose" if not free else "this pose, with any rotation about its z axis"
         held = f", with {', '.join(locked)} locked" if keeps.any() else ""
@@ -86,6 +94,16 @@ def inverse_kinematics(
             detail += f"; {joints} joints reach few poses exactly; give other goals as positions"
         raise UnreachableError(chain.pose[9:].tolist(), "not_found", detail, joints=list(robot.joint_names))
     return distinct(robot, solutions[found], begin, chain)
+
+
+def _turned_poses(pose: FloatArray, largest: FloatArray, count: int) -> FloatArray:
+    """Return a (12,) pose twice, and evenly spread rotations of it by up to (3,) angles [rad], (count, 12) in all."""
+    # Multiples of the inverse powers of the root of x^4 = x + 1, modulo 1, fill a cube evenly.
+    even = (0.5 + np.arange(count)[:, None] * 1.2207440846057596 ** -np.arange(1.0, 4.0)) % 1.0
+    vectors = (2.0 * even - 1.0) * np.abs(largest)
+    vectors[:2] = 0.0
+    turns = [(pose[:9].reshape(3, 3) @ pin.exp3(vector)).ravel() for vector in vectors]
+    return np.column_stack([turns, np.tile(pose[9:], (count, 1))])
 
 
 def spread_starts(robot: Robot, begin: FloatArray, chain: Chain, count: int, seed: int = 0) -> FloatArray:

@@ -60,6 +60,7 @@ from hplan.planning.plan import check_task, solve_scene
 from hplan.planning.problem import Problem
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
+from hplan.robot.upright import with_fixed_axis
 from hplan.scene.attached import Attached
 from hplan.scene.limits import FARTHEST_M
 from hplan.scene.model import Goal, Scene, Start
@@ -116,7 +117,7 @@ class Planner:
         check_task(robot, scene, options)
         self._arm = robot
         self.options = PlanOptions() if options is None else options
-        self.scene = scene
+        self.scene = with_fixed_axis(robot, scene)
         self.last: PlanResult | None = None
         self._is_told = False
         self._cropped: dict[str, _Cropped] = {}

@@ -1,17 +1,12 @@
-"""Linearized constraints on torques and the tool's tilt.
-
-They are rows of the linear program of a timed spline.
-"""
+"""Linearized constraints on torques: rows of the linear program of a timed spline."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray, IntArray
-from hplan.kinematics.damped_steps import Chain, write_tilt
+from hplan.base.arrays import FloatArray
 from hplan.optimization.first_order import MotionLimits
 from hplan.optimization.interior_point import ProgramRows
 from hplan.optimization.timed_spline import RESTING, TimedSpline
@@ -26,8 +21,8 @@ ALLOWED = 0.995
 #: Fraction of the limits left for motion if gravity uses all of them, so that a slow motion exists.
 _LEFT = 0.05
 
-#: Numbers of sample times in each piece, of torques and of the tilt.
-_TORQUE_TIMES, _TILT_TIMES = 2, 3
+#: Number of sample times in each piece.
+_TORQUE_TIMES = 2
 
 #: Step of the finite differences, in rad, rad/s and rad/s^2.
 _DIFFERENCE = 1e-5
@@ -108,49 +103,3 @@ def with_rows(rows: ProgramRows, more: ProgramRows) -> ProgramRows:
         np.concatenate([rows.upper, more.upper]),
         rows.lower,
     )
-
-
-#: A program leaves out sample times with a tilt below this fraction of the maximum.
-LEANING = 0.3
-
-
-@dataclass(frozen=True, eq=False)
-class Leaning:
-    """Tilt of the tool at sample times of a motion.
-
-    Attributes:
-        clock: (times,) the times [s].
-        cosines: (times,) cosines of the tilt angles.
-        slopes: (times, dof) derivatives of the cosines with respect to the joints [1/rad].
-        most_rad: Maximum permitted tilt [rad].
-    """
-
-    clock: FloatArray
-    cosines: FloatArray
-    slopes: FloatArray
-    most_rad: float
-
-    @classmethod
-    def sample(cls, spline: TimedSpline, upright: Chain) -> Leaning:
-        """Tilt at `_TILT_TIMES` sample times of each piece."""
-        clock = spline.clock(_TILT_TIMES)
-        configurations = np.ascontiguousarray(spline.positions(clock))
-        cosines, slopes = np.empty(len(clock)), np.empty(configurations.shape)
-        write_tilt(configurations, upright, cosines, slopes)
-        return cls(clock, cosines, slopes, float(upright.free_turn[1]))
-
-    @property
-    def is_upright(self) -> bool:
-        """True if the tilt stays within its maximum at all sample times."""
-        return bool(self.cosines.min() >= math.cos(self.most_rad))
-
-    def rows(self, spline: TimedSpline, movable: IntArray) -> ProgramRows:
-        """One constraint row for each tilted sample: stay within the maximum tilt.
-
-        A sample that already exceeds the maximum must not tilt further.
-        """
-        near = np.flatnonzero(self.cosines < math.cos(LEANING * self.most_rad))
-        weights = spline.weights(self.clock[near])[:, RESTING:-RESTING]
-        blocks = -weights[:, :, None] * self.slopes[near][:, None, movable]
-        bound = np.maximum(self.cosines[near] - math.cos(self.most_rad), 0.0)
-        return rows_of(blocks, np.zeros(len(near)), bound)

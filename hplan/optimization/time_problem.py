@@ -12,8 +12,7 @@ from hplan.base.deadline import check_deadline, kernel_time_limit
 from hplan.collision.compiled_bodies import thicker
 from hplan.collision.compiled_field import ClearanceField
 from hplan.collision.compiled_motions import piece_is_clear
-from hplan.kinematics.damped_steps import Chain
-from hplan.optimization.constraint_rows import NEAR_LIMIT, Leaning, TorqueUse, torque_rows, with_rows
+from hplan.optimization.constraint_rows import NEAR_LIMIT, TorqueUse, torque_rows, with_rows
 from hplan.optimization.first_order import MotionArrays, MotionLimits, first_order, least_time_scale
 from hplan.optimization.interior_point import ProgramRows, solve_program
 from hplan.optimization.options import PostprocessOptions
@@ -42,8 +41,6 @@ class TimeProblem(Record):
         ends: States at the start and at the end; None if both are at rest.
         sway: (moving bodies, dof) loss of each body's clearance by tracking errors, per unit of each joint's speed
             [m s/rad]; None if tracking errors do not depend on speed.
-        upright: Kinematic chain with the permitted tilt of the tool, for motions from rest to rest; None if the tool
-            may tilt freely.
     """
 
     field: ClearanceField
@@ -54,7 +51,6 @@ class TimeProblem(Record):
     rate_hz: float
     ends: tuple[BoundaryState, BoundaryState] | None = None
     sway: FloatArray | None = None
-    upright: Chain | None = None
 
     @cached_property
     def arrays(self) -> MotionLimits:
@@ -66,12 +62,7 @@ class TimeProblem(Record):
         return MotionLimits(options.lower, options.upper, rates, options.movable, sway)
 
     def is_clear(self, spline: TimedSpline) -> bool:
-        """True if the whole motion is verified collision-free, tracking errors included.
-
-        With an upright constraint, the tilt of the tool is checked at sample points, too.
-        """
-        if self.upright is not None and not Leaning.sample(spline, self.upright).is_upright:
-            return False
+        """True if the whole motion is verified collision-free, tracking errors included."""
         if self.sway is not None:
             return self._is_clear_swaying(spline, self.sway)
         moved = MovableSpline(np.array(spline.control), spline.knots)
@@ -171,8 +162,6 @@ class TimeProblem(Record):
         use = self.torque_use(spline)
         if use is not None and use.largest > NEAR_LIMIT:
             rows = with_rows(rows, torque_rows(use, spline, self.dynamics, arrays))
-        if self.upright is not None:
-            rows = with_rows(rows, Leaning.sample(spline, self.upright).rows(spline, options.movable))
         joints = len(options.movable)
         inner = len(spline.control) - 2 * RESTING
         found, unknowns = solve_program(rows, inner * joints, 4 * joints - 1, gap, kernel_time_limit())

@@ -2,7 +2,7 @@
 
 Two-level grid search and trees.
 
-If the base may turn, planar arms use the general path finders.
+If the base may turn or the tool has to stay upright, planar arms use the general path finders.
 """
 
 from __future__ import annotations
@@ -53,16 +53,24 @@ _AT_ONCE: Final = 2, 1_500
 
 
 def searches_first(problem: Problem) -> bool:
-    """True if the base is locked.
+    """True if the base is locked and the tool may tilt.
 
     A grid is then searched even if the straight motion is free.
     """
-    return not base_turns(problem) and not problem.is_leaving
+    return _suits_grid(problem)
+
+
+def _suits_grid(problem: Problem) -> bool:
+    """True if a grid over the planar joints has the motions of a problem, and only those.
+
+    Grids do not know how far the tool may tilt, nor obstacles that the arm leaves.
+    """
+    return not (base_turns(problem) or problem.is_leaving or problem.world.upright is not None)
 
 
 def path_finders(problem: Problem) -> Sequence[PathFinder] | None:
     """Path finders of a problem; None for the general finders."""
-    if base_turns(problem) or problem.is_leaving:
+    if not _suits_grid(problem):
         return None
     if problem.effort.at_once:
         return (FirstGridPaths(),)

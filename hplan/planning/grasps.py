@@ -136,6 +136,7 @@ class Target(Record):
         least_standoff: Minimum length of the approach [m].
         pose: (4, 4) pose of `frame`; None for any orientation.
         frame: Name of the frame at the pose; None for the tool frame.
+        rotation_tolerance: (3,) maximum rotation away from the pose, about its axes [rad]; None for none.
         capture_m: Maximum offset of the fruit's center that the gripper tolerates, across the approach and along
             it [m]; None to ignore the capture range.
         covariance: (3, 3) covariance of the fruit's position [m^2].
@@ -150,6 +151,7 @@ class Target(Record):
     least_standoff: float = 0.0
     pose: FloatArray | None = None
     frame: str | None = None
+    rotation_tolerance: FloatArray | None = None
     capture_m: tuple[float, float] | None = None
     covariance: FloatArray | None = None
 
@@ -355,7 +357,10 @@ def _clear_candidates(
     def evenly_spaced(count: int) -> tuple[Candidates, FloatArray]:
         """Candidates, and the (k,) minimum clearance of each over all links [m]."""
         if target.pose is not None:
-            at_pose = inverse_kinematics(robot, target.pose, start=start, frame=target.frame, locked=locked)
+            at_pose = inverse_kinematics(
+                robot, target.pose, start=start, frame=target.frame, locked=locked,
+                rotation_tolerance_rad=target.rotation_tolerance,
+            )  # fmt: skip
             found = Candidates(at_pose, approach_angles(robot, at_pose, target.pose[:3, 3]))
         else:
             angle = target.approach_deg

@@ -24,6 +24,7 @@ from hplan.planning.motion import Plan, Solver, best_of
 from hplan.planning.problem import Problem
 from hplan.planning.schedule import STEP_S, MovingField, PathInTime, earliest_schedule, room_to_change
 from hplan.planning.start_in_motion import StopMaker, after_stop, stops
+from hplan.robot.upright import with_fixed_axis
 from hplan.scene.fruit import Fruit
 from hplan.scene.model import Scene, Start
 from hplan.scene.obstacle_kind import transform_fields
@@ -76,7 +77,7 @@ def stopping_first(problem: Problem, solve: Solver, stop: Trajectory) -> Plan | 
     """
     stop_s = stop.duration
     rest = Start(joints_rad=tuple(stop.position[-1].tolist()))
-    after = problem.scene.starting_at(stop_s).copy_unchecked({"start": rest})
+    after = with_fixed_axis(problem.robot, problem.scene).starting_at(stop_s).copy_unchecked({"start": rest})
     plan = best_of(solve(Problem.from_scene(problem.robot, after, problem.options)))
     later, trajectory, _ = plan.join_phases
     first, *others = (phase.delay(stop_s) for phase in later)

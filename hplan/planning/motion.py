@@ -16,7 +16,6 @@ from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.certificate.certificate import Certificate, Stretch, all_of, certify_among, stretches
 from hplan.certificate.limb_loads import gentle_speeds
 from hplan.errors import CertificationError, TimingError
-from hplan.kinematics.damped_steps import Chain
 from hplan.optimization.minimize_time import OptimizerEffort, minimize_time
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.several_starts import NEAR_PATH_M, fastest_motions, optimization_starts
@@ -177,14 +176,11 @@ def motion_along(problem: Problem, polyline: Path, margin: float) -> Motion:
     return _transit(problem, polyline, path, *certified_trajectory(problem, path))
 
 
-def improve(motion: Motion, upright: Chain | None = None) -> Iterator[Motion]:
+def improve(motion: Motion) -> Iterator[Motion]:
     """A certified motion, then a faster certified one near it, if any.
 
     There is no second motion if the objective is a short path, if the first is straight, or if the effort requires a
     first motion as soon as possible and it is close to the fastest.
-
-    Args:
-        upright: Chain whose tool must stay upright during the faster motion; None for no such constraint.
     """
     yield motion
     problem, effort, start = motion.problem, motion.problem.optimization, motion.trajectory
@@ -192,13 +188,11 @@ def improve(motion: Motion, upright: Chain | None = None) -> Iterator[Motion]:
         effort is None
         or (problem.effort.at_once and start.duration <= problem.effort.close * problem.least_duration)
         or start.samples == 1
-        or (
-            upright is None and is_straight(motion.waypoints, problem.field, smoothing_options(problem, problem.margin))
-        )
+        or is_straight(motion.waypoints, problem.field, smoothing_options(problem, problem.margin))
     ):
         return
     with stage("timing"):
-        program = replace(time_problem(problem, start), upright=upright)
+        program = time_problem(problem, start)
         spline = minimize_time(start, program, effort)
     if spline is not None and spline.duration < start.duration:
         quicker, certificate = certify_gently(problem, spline.trajectory(program.dynamics, program.rate_hz))

@@ -60,6 +60,8 @@ def with_all_efforts(solve: Solver) -> Solver:
 
     def solver(problem: Problem) -> Iterator[Plan]:
         problem.world.check_base()
+        if problem.world.upright is not None:
+            problem.world.upright.check(problem.robot, problem.start, "start", problem.world.deviation)
         check_deadline()
         return plans(problem.in_world(problem.world))
 
@@ -124,7 +126,15 @@ def _goal(problem: Problem) -> Problem | Target:
             )
     if goal.pose is not None:
         pose = goal_pose(goal)
-        return Target("the pose", pose[:3, 3], world, world, pose=pose, frame=goal.frame)
+        return Target(
+            "the pose",
+            pose[:3, 3],
+            world,
+            world,
+            pose=pose,
+            frame=goal.frame,
+            rotation_tolerance=goal.rotation_tolerance,
+        )
     for fruit in scene.fruits:
         if fruit.name == goal.fruit:
             return Target.of_fruit(world, fruit, scene, problem.options)

@@ -9,14 +9,14 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, frozen
 from hplan.base.deadline import check_deadline
-from hplan.errors import BlockedError, ConfigurationInCollisionError, InputError
+from hplan.errors import BlockedError, ConfigurationInCollisionError, InputError, TiltedError
 from hplan.kinematics.inverse_kinematics import inverse_kinematics
 from hplan.planning.world import World
 from hplan.scene.model import Goal
 
 
 def configurations_at(world: World, goal: Goal, start: FloatArray, locked: Sequence[str] = ()) -> FloatArray:
-    """Return collision-free configurations with a frame at the goal pose, nearest first.
+    """Return collision-free configurations with a frame at the goal pose, within its tolerance, nearest first.
 
     Args:
         world: The arm among its obstacles.
@@ -31,10 +31,14 @@ def configurations_at(world: World, goal: Goal, start: FloatArray, locked: Seque
     Raises:
         InputError: The goal has no pose, or an unknown frame.
         UnreachableError: No configuration was found, obstacles ignored.
+        TiltedError: The tool has to stay upright, and is not at the pose.
         BlockedError: Obstacles, or parts of the arm, block every configuration found; names them.
     """
     robot, pose = world.robot, goal_pose(goal)
-    found = inverse_kinematics(robot, pose, start=start, frame=goal.frame, locked=locked)
+    found = inverse_kinematics(
+        robot, pose, start=start, frame=goal.frame, locked=locked, rotation_tolerance_rad=goal.rotation_tolerance
+    )
+    tilted: TiltedError | None = None
     clear: list[FloatArray] = []
     blocked: Counter[tuple[str, str]] = Counter()
     largest = -np.inf
@@ -45,8 +49,12 @@ def configurations_at(world: World, goal: Goal, start: FloatArray, locked: Seque
         except ConfigurationInCollisionError as error:
             blocked[error.link, error.obstacle] += 1
             largest = max(largest, -error.depth_m)
+        except TiltedError as error:
+            tilted = error.with_traceback(None)
         else:
             clear.append(q)
+    if not clear and tilted is not None and not blocked:
+        raise tilted
     if not clear:
         obstacles = [
             {"obstacle": obstacle, "link": link, "configurations": count}

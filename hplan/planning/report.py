@@ -100,12 +100,22 @@ def certificate_report(certificate: Certificate, options: PlanOptions, scene: Sc
         **({"pair_rules": [vars(rule) for rule in certificate.pair_rules]} if certificate.pair_rules else {}),
         "limit_use": vars(certificate.limit_use),
         "violations": list(certificate.violations),
+        **tilt_report(certificate, scene),
         **({"uncovered_links": list(certificate.uncovered_links)} if certificate.uncovered_links else {}),
         **attached_report(scene),
         "digests": None if digests is None else vars(digests),
         **({} if certificate.nearest_s is None else {"nearest_s": certificate.nearest_s}),
         **({} if until is None else {"clear_until_s": until if math.isfinite(until) else None}),
     }
+
+
+def tilt_report(certificate: Certificate, scene: Scene) -> dict[str, Any]:
+    """The bound of the tool's tilt, and what is allowed; empty if the tool may tilt."""
+    if scene.upright is None:
+        return {}
+    tilt = certificate.max_tilt_rad
+    bound = None if tilt is None else math.degrees(tilt)
+    return {"upright": {**scene.upright.model_dump(mode="json"), "bound_deg": bound}}
 
 
 def pushes_report(certificate: Certificate, scene: Scene) -> dict[str, Any]:

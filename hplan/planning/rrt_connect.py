@@ -22,12 +22,16 @@ from hplan.collision.compiled_motions import shown_part, straight_piece
 from hplan.collision.compiled_obstacles import FieldArrays
 from hplan.kinematics.damped_steps import Chain, solve
 from hplan.planning.problem import Problem
+from hplan.planning.upright_paths import upright_chain
 
 #: Number of samples drawn at a time, and maximum number of nodes of a tree.
 _CHUNK, _MOST_NODES = 500, 20_000
 
 #: Maximum length of an edge, in time at the velocity limits [s].
 EDGE_S = 0.25
+
+#: The same if the tool has to stay upright: straight edges between upright configurations tilt it [s].
+UPRIGHT_EDGE_S = 0.15
 
 #: Minimum length of an edge [s].
 LEAST_S = 0.002
@@ -99,9 +103,12 @@ class Surroundings(NamedTuple):
 
 def tree_path(
     problem: Problem, margin: float, evaluations: int, seed: int, *, goals: FloatArray | None = None,
-    upright: Chain | None = None, edge_s: float = EDGE_S, pairs: Pairs | None = None,
+    pairs: Pairs | None = None,
 ) -> tuple[FloatArray | None, int]:  # fmt: skip
     """A collision-free path of straight motions from start to goal.
+
+    If the tool has to stay upright, the ends of the edges are projected onto that constraint (Berenson et al. 2009,
+    "Manipulation planning on constraint manifolds"), and the edges between them are verified to keep it.
 
     Args:
         problem: Start, goals and the joint limits of the motion to the first goal; distances are times at the velocity
@@ -110,10 +117,6 @@ def tree_path(
         evaluations: Maximum number of distance queries, each of all links at one configuration.
         seed: Seed of the samples.
         goals: (k, dof) alternative goals, whichever is reached first; None for the problem's first goal.
-        upright: Chain with `hplan.kinematics.damped_steps.UPRIGHT`, a constraint that all nodes satisfy, as start and
-            goals do; None for no constraint.
-        edge_s: Maximum length of an edge, on which the constraint holds well enough, in time at the velocity limits
-            [s].
         pairs: Pairs of trees from the same start that have grown with less effort. This pair grows on, and stays there
             if its trees do not meet. None to start from the roots.
 
@@ -124,8 +127,8 @@ def tree_path(
     key = seed, margin, id(problem.field), ends.tobytes()
     known = None if pairs is None else pairs.pop(key, None)
     slowness = 1.0 / problem.robot.velocity_limit
-    arm = Surroundings(slowness, problem.field.arrays, margin, edge_s)
-    chain = () if upright is None else upright
+    chain = upright_chain(problem)
+    arm = Surroundings(slowness, problem.field.arrays, margin, EDGE_S if len(chain) == 0 else UPRIGHT_EDGE_S)
     if known is None:
         generator, nothing = np.random.Generator(np.random.PCG64(seed)), np.zeros((0, len(problem.start)))
         looks = np.zeros(2, dtype=np.int64)

@@ -27,6 +27,7 @@ from hplan.planning.options import PlanOptions
 from hplan.robot.files import neighbouring_links
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel, largest_fraction, name_margin
+from hplan.robot.upright import UprightTool
 from hplan.scene.model import Scene, growing_from, hanging_from
 from hplan.scene.obstacle_kind import Sigmas, Solid, growths
 
@@ -77,6 +78,7 @@ class World(Record):
         sigmas: Sigmas = 0.0,
         yield_links: Sequence[str] | None = None,
         leaving: Leaving | None = None,
+        upright: UprightTool | None = None,
     ) -> World:
         """Prepare solids for planning.
 
@@ -86,6 +88,7 @@ class World(Record):
             sigmas: Inflation of an obstacle in standard deviations of its position; a mapping by name if they differ.
             yield_links: Links that may push compliant obstacles; None for the links of the last two joints.
             leaving: Start that may be nearer to obstacles than the clearance; None for none.
+            upright: The tool axis that stays upright; None if the tool may tilt.
 
         Raises:
             OptionError: `yield_links` names an unknown link.
@@ -93,12 +96,12 @@ class World(Record):
         growth = growths(solids, sigmas)
         checker = CoalScene(
             robot, solids, growth=growth, deviation=tracking_error, clearance=clearance, yield_links=yield_links,
-            leaving=leaving,
+            leaving=leaving, upright=upright,
         )  # fmt: skip
         check_deadline()
         linked = LinkedSolids.build(robot, solids, clearance + growth, yield_links, growth)
         linked = linked.with_nearer(robot.dof, solids, checker.near_solids, growth)
-        field = linked.field(robot, own_clearance=clearance, deviation=tracking_error)
+        field = linked.field(robot, own_clearance=clearance, deviation=tracking_error, upright=upright)
         return cls(robot, tuple(solids), clearance, tracking_error, field, checker, linked, growth, yield_links)
 
     @classmethod
@@ -112,16 +115,17 @@ class World(Record):
         """
         # Without required certification, no clearance is reserved for tracking errors; motions are certified anyway.
         tracking_error = options.tracking.still_rad
-        leaving = leaving_of(robot, scene)
-        key = scene.solids_with_goal, scene.clearance, tracking_error, options.sigmas, scene.yield_links, leaving
+        leaving, upright = leaving_of(robot, scene), UprightTool.of_scene(robot, scene)
+        solids = scene.solids_with_goal
+        key = solids, scene.clearance, tracking_error, options.sigmas, scene.yield_links, leaving, upright
         check_deadline()
         kept: deque[tuple[object, World]] = robot.cache("worlds", lambda: deque(maxlen=2))
         for known, world in tuple(kept):
             if known == key:
                 return world
         world = cls.build(
-            robot, key[0], clearance=scene.clearance, tracking_error=tracking_error, sigmas=options.sigmas,
-            yield_links=scene.yield_links, leaving=leaving,
+            robot, solids, clearance=scene.clearance, tracking_error=tracking_error, sigmas=options.sigmas,
+            yield_links=scene.yield_links, leaving=leaving, upright=upright,
         )  # fmt: skip
         kept.append((key, world))
         return world
@@ -140,9 +144,17 @@ class World(Record):
         whole = self.clearance + self.growth
         linked = LinkedSolids.build(self.robot, self.solids, whole, self.yield_links, self.growth, hanging)
         linked = linked.with_nearer(self.robot.dof, self.solids, checker.near_solids, self.growth)
-        field = linked.field(self.robot, own_clearance=self.clearance, deviation=self.deviation)
+        field = self._field(linked, self.deviation)
         field = field.ignoring_last_link(linked.name_mask(touched))
         return replace(self, field=field, checker=checker, linked=linked, touched=touched, hanging=hanging)
+
+    @property
+    def upright(self) -> UprightTool | None:
+        """The tool axis that stays upright; None if the tool may tilt."""
+        return self.checker.upright
+
+    def _field(self, linked: LinkedSolids, deviation: float) -> ClearanceField:
+        return linked.field(self.robot, own_clearance=self.clearance, deviation=deviation, upright=self.upright)
 
     def check_clear(self, q: FloatArray, which: str) -> float:
         """Clearance of a configuration at rest beyond the requirement [m].
@@ -157,6 +169,7 @@ class World(Record):
         Raises:
             ConfigurationInCollisionError: It has less; names link, obstacle or other part of the arm, and depth. If the
                 tracking error alone is too large, it also names the largest one that would fit.
+            TiltedError: The tool has to stay upright, and it does not hold it upright.
         """
         key = which.encode() + q.tobytes() if len(self.checker.near_pairs) else q.tobytes()
         found = self._cached_clearances.get(key)
@@ -177,6 +190,8 @@ class World(Record):
         return {}
 
     def _check(self, q: FloatArray, which: str) -> float:
+        if self.upright is not None:
+            self.upright.check(self.robot, q, which, self.deviation)
         if not len(self.checker.near_pairs):
             # Compiled distances are lower bounds, and quicker among clouds. Coal decides close cases, and certifies.
             spare = self.field.spare_clearance(q, enough=_ENOUGH_M)
@@ -207,7 +222,7 @@ class World(Record):
 
         def is_clear(fraction: float) -> bool:
             deviation = fraction * self.deviation
-            smaller = self.linked.field(self.robot, own_clearance=self.clearance, deviation=deviation)
+            smaller = self._field(self.linked, deviation)
             if self.touched:
                 smaller = smaller.ignoring_last_link(self.linked.name_mask(self.touched))
             return bool((smaller.spare_clearances(configurations) > wanted).any())

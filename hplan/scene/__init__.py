@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from hplan.scene.model import FORMAT, Goal, Scene, Start, with_limbs
     from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, PointCloud, Sphere
     from hplan.scene.tracks import Sway, Track
+    from hplan.scene.upright import Upright
     from hplan.scene.wood import LimbLimits, Wood
 
 __all__ = [
@@ -44,6 +45,7 @@ __all__ = [
     "Start",
     "Sway",
     "Track",
+    "Upright",
     "Wood",
     "default_scene_path",
     "dump_scene",
@@ -62,6 +64,7 @@ __getattr__ = lazy_names(
         "hplan.scene.model": "FORMAT Goal Scene Start with_limbs",
         "hplan.scene.obstacles": "Box Capsule Cylinder Mesh Obstacle PointCloud Sphere",
         "hplan.scene.tracks": "Sway Track",
+        "hplan.scene.upright": "Upright",
         "hplan.scene.wood": "LimbLimits Wood",
     },
 )

@@ -42,10 +42,14 @@ from hplan.scene.obstacle_kind import (
 from hplan.scene.obstacles import AnyObstacle, Capsule, Obstacle, Solid, Sphere
 from hplan.scene.robot_source import RobotField
 from hplan.scene.tracks import Movement, Sway
+from hplan.scene.upright import Upright
 from hplan.scene.wood import Wood, limits_by_segment
 
 #: Format of scene files, the value of their key `format`.
 FORMAT: Final = "hplan-scene/1"
+
+#: An angle up to half a turn [deg].
+Angle = Annotated[float, Field(ge=0.0, le=180.0)]
 
 #: Tolerance of a quaternion's norm about 1; quaternions are normalized.
 QUATERNION_LENGTH: Final = 1e-3
@@ -170,6 +174,9 @@ class Goal(JointValues):
             None for any angle.
         quaternion_xyzw: Orientation of the frame; with `position` it makes a pose, for any robot. None for no pose.
         frame: Name of the frame of a pose; None for the tool frame.
+        rotation_tolerance_deg: Maximum rotation of the frame away from the pose, about x, y and z of the pose: the
+            components of the rotation vector (axis times angle) [deg]; 180 leaves the rotation free. None for the exact
+            orientation.
 
     Examples:
         >>> from hplan.scene import Goal
@@ -185,6 +192,7 @@ class Goal(JointValues):
     approach_deg: float | tuple[float, float] | None = None
     quaternion_xyzw: Annotated[tuple[float, float, float, float] | None, Field(exclude=True)] = None
     frame: Annotated[Name | None, Field(exclude=True)] = None
+    rotation_tolerance_deg: Annotated[tuple[Angle, Angle, Angle] | None, Field(exclude=True)] = None
 
     _choices: ClassVar[tuple[str, ...]] = ("joints_deg", "joints_rad", "joints", "position", "fruit")
 
@@ -199,6 +207,9 @@ class Goal(JointValues):
         if self.quaternion_xyzw is None:
             if self.frame is not None:
                 raise fault("frame belongs to a pose: give position and quaternion_xyzw too", "frame")
+            if self.rotation_tolerance_deg is not None:
+                reason = "rotation_tolerance_deg belongs to a pose: give position and quaternion_xyzw too"
+                raise fault(reason, "rotation_tolerance_deg")
             return self
         if self.position is None:
             raise fault("quaternion_xyzw belongs to a position", "quaternion_xyzw")
@@ -211,12 +222,17 @@ class Goal(JointValues):
 
     @property
     def orientation(self) -> dict[str, Any]:
-        """Quaternion and frame by key, if given.
+        """Quaternion, frame and tolerance by key, if given.
 
         They are not part of a dump of the scene, so that a goal without them keeps the digest of earlier versions.
         """
-        given = {"quaternion_xyzw": self.quaternion_xyzw, "frame": self.frame}
+        given = {key: getattr(self, key) for key in ("quaternion_xyzw", "frame", "rotation_tolerance_deg")}
         return {key: value for key, value in given.items() if value is not None}
+
+    @property
+    def rotation_tolerance(self) -> FloatArray | None:
+        """(3,) maximum rotation away from the pose, about its axes [rad]; None for the exact orientation."""
+        return None if self.rotation_tolerance_deg is None else np.radians(self.rotation_tolerance_deg)
 
     @property
     def pose(self) -> FloatArray | None:
@@ -244,6 +260,7 @@ class Scene(StrictModel):
         yield_links: Names of the links that may deflect compliant obstacles; None for the links of the last two joints.
         wood: Limits of force and stress for limbs (capsules with a `parent`) and the fruit on them; they replace
             `yields` for these. None for none.
+        upright: Maximum tilt of the tool during the whole motion; None if it may tilt.
         obstacles: Obstacles.
         fruits: Fruit; obstacles too, except the goal.
         covariance: Covariance of a position error that all obstacles and fruits share, for example of the camera or the
@@ -278,6 +295,7 @@ class Scene(StrictModel):
     yield_links: Annotated[tuple[Name, ...] | None, Field(exclude=True)] = None
     wood: Annotated[Wood | None, Field(exclude=True)] = None
     attached: Annotated[tuple[Attached, ...], Field(max_length=MOST_ATTACHED, exclude=True)] = ()
+    upright: Annotated[Upright | None, Field(exclude=True)] = None
 
     @model_validator(mode="after")
     def _names_are_unique(self) -> Scene:

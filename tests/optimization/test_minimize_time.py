@@ -17,10 +17,8 @@ from hplan.base.arrays import FloatArray
 from hplan.base.deadline import NEVER
 from hplan.certificate.limit_use import limit_use
 from hplan.collision.compiled_field import ClearanceField
-from hplan.kinematics.damped_steps import UPRIGHT
-from hplan.kinematics.inverse_kinematics import chain_of
 from hplan.optimization.coarse_profile import coarse_profile
-from hplan.optimization.constraint_rows import ALLOWED, LEANING, Leaning, TorqueUse, torque_rows
+from hplan.optimization.constraint_rows import ALLOWED, TorqueUse, torque_rows
 from hplan.optimization.first_order import (
     NEAR,
     PLACES,
@@ -105,28 +103,6 @@ def test_torque_rows_follow_the_torques(robot):
         matrix[row, rows.columns[start:end]] = rows.entries[start:end]
     np.testing.assert_allclose(matrix @ change.ravel() + rows.time_scale * (time_scale - 1.0), actual, atol=2e-7)
     assert len(rows.upper) > 5
-
-
-@pytest.mark.parametrize("name", ["toy", "lift", "panda"])
-def test_rows_follow_how_the_tool_leans(tmp_path_factory: pytest.TempPathFactory, name: str) -> None:
-    arm = loaded_arm(name, tmp_path_factory)
-    rng = np.random.default_rng(2)
-    begin, turn = rng.uniform(arm.lower, arm.upper), 0.2 * rng.uniform(-1.0, 1.0, arm.dof)
-    spline = TimedSpline.approximate(lambda clock: begin + np.outer((clock / 0.8) ** 2, turn), even_breaks(0.8, 14))
-    chain = chain_of(arm, np.eye(4), UPRIGHT)
-    heights = arm.forward_kinematics(spline.positions(Leaning.sample(spline, chain).clock))[:, 2, 2]
-    np.testing.assert_allclose(Leaning.sample(spline, chain).cosines, heights, atol=1e-12)
-    most = float(np.arccos(np.sort(heights)[1:3].mean()))  # two of all times are beyond it
-    found = Leaning.sample(spline, chain._replace(free_turn=np.array([UPRIGHT, most])))
-    assert not found.is_upright
-    movable = np.arange(1, arm.dof)
-    change = rng.uniform(-1e-6, 1e-6, (len(spline.control) - 6, len(movable)))
-    control = np.array(spline.control)
-    control[3:-3, movable] += change
-    after = Leaning.sample(TimedSpline(control, spline.knots), chain)
-    rows, near = found.rows(spline, movable), found.cosines < np.cos(LEANING * most)
-    left = rows.upper - dense(rows, change.size)[:, :-1] @ change.ravel()
-    np.testing.assert_allclose(left, (after.cosines - np.minimum(np.cos(most), found.cosines))[near], atol=1e-10)
 
 
 PIECES, MARGIN, TRUST = 12, 2e-3, 0.1

@@ -19,6 +19,7 @@ from hplan.planning.pose_sequence import pose_matrices
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
+from hplan.robot.upright import UprightTool
 from hplan.scene import Box, Goal, Scene, Sphere, Start
 from hplan.scene.obstacles import Obstacle
 from hplan.trajectory.trajectory import Trajectory
@@ -92,31 +93,22 @@ def test_trees_go_around_and_stay_upright(arm: Robot) -> None:
     assert 0.0 < tilt <= np.radians(result.report["poses"]["phases"][0]["tilt_deg"]) <= TILT
 
 
-# Paths of the picker's trees are near the fastest for some seeds, and which ones differs between processors.
-@pytest.mark.parametrize(("name", "gain", "seeds"), [("panda", 0.2, (0,)), ("picker", 0.03, (0, 3, 6, 7))])
-def test_upright_motions_are_made_quicker(
-    tmp_path_factory: pytest.TempPathFactory,
-    monkeypatch: pytest.MonkeyPatch,
-    name: str,
-    gain: float,
-    seeds: tuple[int, ...],
-) -> None:
+@pytest.mark.parametrize(("name", "gain"), [("panda", 0.1), ("picker", 0.0)])
+def test_upright_motions_are_made_quicker(tmp_path_factory: pytest.TempPathFactory, name: str, gain: float) -> None:
     arm = loaded_arm(name, tmp_path_factory)
     here = arm.forward_kinematics(begin_of(arm))
     height = 0.6 if name == "panda" else 0.4
     wall = Box(name="wall", center=here[:3, 3] + (0.0, 0.2, 0.5 * height - 0.35), size=(0.5, 0.04, height))
     pose = moved(here, 0.0, 0.4, 0.0)
-    durations = np.empty((2, len(seeds)))
-    for row, fast in enumerate((pose_sequence._FAST, np.inf)):
-        monkeypatch.setattr(pose_sequence, "_FAST", fast)
-        for column, seed in enumerate(seeds):
-            options = hplan.PlanOptions(seed=seed)
+    for seed in range(3):
+        durations = []
+        for objective in ("duration", "length"):
+            options = PlanOptions(seed=seed, objective=objective)
             result = hplan.plan_poses(arm, scene_of(arm, wall), [pose], options, straight=False, tilt_rad=TILT)
             ((_, tilt),) = seen(arm, result, [pose], [False])
             assert tilt <= np.radians(result.report["poses"]["phases"][0]["tilt_deg"]) <= TILT
-            durations[row, column] = result.trajectory.duration
-    assert (durations[0] <= durations[1]).all()
-    assert durations[0].max() < (1.0 - gain) * durations[1].max()
+            durations.append(result.trajectory.duration)
+        assert durations[0] <= (1.0 - gain) * durations[1]
 
 
 def test_where_a_path_cannot_be_certified_another_one_is_taken(arm: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -159,7 +151,8 @@ def test_bounds_hold_between_rows(arm: Robot, seed: int) -> None:
     time = np.cumsum(np.append(0.0, rng.uniform(0.01, 0.08, 7)))
     motion = Trajectory(arm.joint_names, time, q, rng.normal(size=q.shape), *np.zeros((2, *q.shape)))
     direction, up = (vector / np.linalg.norm(vector) for vector in rng.normal(size=(2, 3)))
-    exact = tool_bounds(arm, motion, direction, up, TrackingModel())
+    tool_axis = UprightTool(tuple(direction), tuple(up), np.pi)
+    exact = tool_bounds(arm, motion, tool_axis, TrackingModel())
     tool = arm.forward_kinematics(motion.positions(np.linspace(0.0, time[-1], 4_001)))
     away, line = tool[:, :3, 3] - tool[0, :3, 3], tool[-1, :3, 3] - tool[0, :3, 3]
     along = np.clip(away @ line / (line @ line), 0.0, 1.0)
@@ -167,7 +160,7 @@ def test_bounds_hold_between_rows(arm: Robot, seed: int) -> None:
     tilt = np.arccos(np.clip(tool[:, :3, :3] @ direction @ up, -1.0, 1.0)).max()
     assert off <= exact.deviation_m <= off + 0.05
     assert tilt <= exact.tilt_rad <= min(np.pi, tilt + 0.4)
-    late = tool_bounds(arm, motion, direction, up, TrackingModel(0.001, 0.002))
+    late = tool_bounds(arm, motion, tool_axis, TrackingModel(0.001, 0.002))
     assert late.deviation_m > exact.deviation_m + 0.001
     assert late.tilt_rad > exact.tilt_rad + 0.001 * arm.dof
 
@@ -175,8 +168,8 @@ def test_bounds_hold_between_rows(arm: Robot, seed: int) -> None:
 def test_impossible_requests_are_refused(arm: Robot) -> None:
     begin = begin_of(arm)
     here, scene = arm.forward_kinematics(begin), scene_of(arm)
-    tilted = moved(here, 0.0, 0.0, -0.05, lean=np.radians(8.0))
-    with pytest.raises(InputError, match=r"poses\[1\]: tilted by 8 deg") as refused:
+    tilted = moved(here, 0.0, 0.0, -0.05, lean=np.radians(12.0))
+    with pytest.raises(InputError, match=r"poses\[1\]: tilted by 12 deg") as refused:
         hplan.plan_poses(arm, scene, [moved(here, 0.0, 0.0, -0.05), tilted], tilt_rad=TILT)
     assert refused.value.data["pose"] == 1
     with pytest.raises(NotFoundError, match="the straight line to pose 1"):

@@ -58,6 +58,8 @@ _OF_ONE_ROBOT = (
         "allow_neighbours",
         "drop_inside",
         "yield_links",
+        "upright",
+        "upright_axis",
     ),
     "collision_from_visual",
     *("bound", "view", "cspace", "cspace_yaw", "certify", "fruits", "drop_off", "drop_off_pose", "drop_off_joints"),

@@ -36,6 +36,7 @@ from hplan.apps.cli.terminal import (
     percent,
     risk_words,
     show,
+    tilt_words,
     uncovered_rows,
 )
 from hplan.base.files import is_folder
@@ -57,7 +58,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     parser = command_parser(__doc__, _CERTIFY_STATUS, prog=prog)
     add = parser.add_argument
     add("trajectory", type=Path, help="trajectory CSV, or output folder of a plan")
-    add_shared(parser, "scene", "robot", "parts", "contacts", "wood", "tracking", "sigmas", "risk")
+    add_shared(parser, "scene", "robot", "parts", "contacts", "wood", "upright", "tracking", "sigmas", "risk")
     add("--goal-contact", choices=("approach", "motion"), help="when the last link may touch the goal "
         "fruit: on the straight approach or during the whole motion (default: approach)")  # fmt: skip
     add("--interpolation", choices=("cubic", "quintic", "linear"), help="curve of the controller between samples: "
@@ -152,6 +153,8 @@ def _fill_in(arguments: argparse.Namespace, job: FinishedJob | None) -> None:
         "risk": settings.get("risk", {}).get("asked"),
         "goal_contact": "motion" if settings.get("goal_contact") == "motion" else "approach",
         "yield_links": settings.get("yield_links"),
+        "upright": settings.get("upright", {}).get("max_tilt_deg"),
+        "upright_axis": settings.get("upright", {}).get("axis"),
         **{name: settings.get("wood", {}).get(name) for name in WOOD},
         "limb_limits": settings.get("wood", {}).get("limits"),
     }
@@ -171,6 +174,8 @@ def _show_certificate(console: Console, report: dict[str, Any], error: str) -> N
         table.add_row(*row)
     shown = " mm or more, proved for all times" if proof["verified"] else " mm, the minimum found"
     table.add_row("clearance", clearance + shown)
+    if proof.get("upright"):
+        table.add_row("tilt", tilt_words(proof["upright"]))
     table.add_row("limits used", ", ".join(f"{k} {percent(v)}" for k, v in proof["limit_use"].items()) + " %")
     if "nearest_s" in proof:
         table.add_row("nearest", f"{proof['nearest']['obstacle']!r} at {proof['nearest_s']:.3f} s")

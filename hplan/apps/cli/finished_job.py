@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -135,6 +136,7 @@ class FinishedJob:
         from hplan.collision.coal_scene import Contact
 
         saved = self.report["certificate"]
+        tilt_deg = (saved.get("upright") or {}).get("bound_deg")
         try:
             return Certificate(
                 verified=saved["verified"] is True,
@@ -144,6 +146,7 @@ class FinishedJob:
                 checks=0,
                 violations=tuple(map(str, saved["violations"])),
                 uncovered_links=tuple(map(str, saved.get("uncovered_links", ()))),
+                max_tilt_rad=None if tilt_deg is None else math.radians(tilt_deg),
             )
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise self._fault("its certificate is incomplete") from error

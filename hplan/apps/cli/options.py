@@ -122,6 +122,11 @@ _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
     ("wood", "--limb-limits", "limits of the limbs and fruit with these names (* for any characters) in place of those "
         "of all: contact-force=N, wood-stress=MPA, fruit-force=N, youngs-modulus=GPA:GPA; may be repeated",
         {"nargs": "+", "action": "append", "metavar": ("NAMES", "LIMIT=VALUE")}),
+    ("upright", "--upright", "keep the tool upright: maximum angle in degrees, at any time, between the vertical and "
+        "the tool axis that is vertical at the start (default: the scene's, else none)",
+        {"type": float, "metavar": "DEG"}),
+    ("upright", "--upright-axis", "another axis for --upright, in the tool frame",
+        {"nargs": 3, "type": float, "metavar": ("X", "Y", "Z")}),
     ("gentle", "--gentle", "push limbs with as little force as motions do that take at most 5 %% longer",
         {"action": "store_true"}),
     ("pace", "--rate", "samples per second in the CSV (default: 250)",
@@ -208,7 +213,7 @@ def names_robots(scene: str) -> bool:
 def scene_among(
     arguments: argparse.Namespace, robot: Robot, scene: Scene, errors: Console
 ) -> tuple[Scene, dict[str, list[str]]]:
-    """Apply `--yield-links`, `--drop-inside` and the limits of limbs to a scene.
+    """Apply `--yield-links`, `--drop-inside`, `--upright` and the limits of limbs to a scene.
 
     Returns:
         The scene, and for the report `left_out`: the names of the obstacles and fruits that were removed because they
@@ -216,7 +221,7 @@ def scene_among(
     """
     if arguments.yield_links is not None:
         scene = scene.with_values(yield_links=tuple(arguments.yield_links))
-    scene = scene_with_wood(arguments, scene)
+    scene = scene_kept_upright(arguments, scene_with_wood(arguments, scene))
     if not arguments.drop_inside:
         return scene, {}
     from hplan.planning.world import without_inside
@@ -282,6 +287,26 @@ def _limb_limits(words: Sequence[str] | Mapping[str, Any]) -> LimbLimits:
             expected = f"NAMES, then LIMIT=VALUE with one of {', '.join(_LIMB_LIMITS)}"
             raise OptionError("--limb-limits", text, expected) from None
     return LimbLimits(names=(words[0],), **found)
+
+
+def scene_kept_upright(arguments: argparse.Namespace, scene: Scene) -> Scene:
+    """A scene with the tilt of `--upright` and `--upright-axis`, if one of them is given.
+
+    Raises:
+        SceneError: The angle is out of range, or the axis is zero.
+        OptionError: An axis is given without an angle.
+    """
+    tilt, axis = getattr(arguments, "upright", None), getattr(arguments, "upright_axis", None)
+    if tilt is None and axis is None:
+        return scene
+    from hplan.scene.upright import Upright
+
+    known = scene.upright
+    if tilt is None and known is None:
+        raise OptionError("--upright-axis", axis, "no value without --upright")
+    given = {"max_tilt_deg": tilt} | {"axis": None if axis is None else tuple(axis)}
+    kept = {key: value for key, value in given.items() if value is not None}
+    return scene.with_values(upright=Upright(**kept) if known is None else known.with_values(**kept))
 
 
 def held_joints(arguments: argparse.Namespace) -> dict[str, float]:

@@ -42,6 +42,7 @@ from hplan.apps.cli.terminal import (
     progress_line,
     risk_words,
     show,
+    tilt_words,
     uncovered_rows,
 )
 from hplan.base.units import at_least_mm
@@ -104,7 +105,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     """Parser of the command's arguments."""
     parser = command_parser(__doc__, _EXIT_STATUS, prog=prog)
     add = parser.add_argument
-    add_shared(parser, "scene", "out", "force", "robot", "parts", "contacts", "wood", "gentle")
+    add_shared(parser, "scene", "out", "force", "robot", "parts", "contacts", "wood", "upright", "gentle")
     add_shared(parser, "search", "effort", "seed", "grid", "pace", "tracking", "sigmas", "risk", "capture", "standoff")
     add("--uncertified", dest="certify", action="store_false", help="write the motion even if it is not certified; "
         "the report says whether it is")  # fmt: skip
@@ -237,6 +238,8 @@ def show_summary(console: Console, result: PlanResult, folder: Path, files: Sequ
         add("bound", _bound_words(report["bound"], len(result.phases)))
     add("limits used", ", ".join(f"{name} {percent(used)}" for name, used in proof["limit_use"].items()) + " %")
     add("clearance", _clearance_words(proof))
+    if "upright" in proof:
+        add("tilt", tilt_words(proof["upright"]))
     if "in_time" in report:
         timing = report["in_time"]
         slows = ", slows down" if timing["slows_down"] else ""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import gc
+import math
 import os
 import signal
 import sys
@@ -23,6 +24,7 @@ from hplan.base.files import protecting_inputs
 from hplan.base.interrupts import INTERRUPTS, handling_signals, signal_of
 from hplan.base.kernel_turns import LISTENERS
 from hplan.base.lazy_import import without_garbage_collection
+from hplan.base.units import at_most_deg
 from hplan.errors import HplanError
 
 if TYPE_CHECKING:
@@ -348,6 +350,14 @@ def held_rows(proof: Mapping[str, Any]) -> list[tuple[str, str]]:
         return []
     held = ", ".join(f"{escape(item['name'])} {item['mass_kg']:g} kg" for item in proof["attached"])
     return [("holds", held)]
+
+
+def tilt_words(proof: dict[str, Any]) -> str:
+    """Tilt of a tool that has to stay upright, from the certificate in a report."""
+    bound, allowed = proof["bound_deg"], f"allowed: {proof['max_tilt_deg']:g} deg"
+    if bound is None:
+        return f"not bounded; {allowed}"
+    return f"{at_most_deg(math.radians(bound))} deg or less from upright, proved for all times; {allowed}"
 
 
 def percent(fraction: float) -> str:

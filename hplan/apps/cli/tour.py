@@ -59,7 +59,7 @@ TOUR_KERNELS = 80
 def parser(prog: str) -> argparse.ArgumentParser:
     """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EPILOG, prog=prog)
-    add_shared(parser, "scene", "out", "force", "robot", "parts", "contacts", "wood", scene="tour")
+    add_shared(parser, "scene", "out", "force", "robot", "parts", "contacts", "wood", "upright", scene="tour")
     add = parser.add_argument
     add("--fruits", nargs="+", metavar="NAME", help="fruits to pick (default: all)")
     add(

@@ -27,7 +27,7 @@ from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray
 from hplan.base.data_files import view_asset
 from hplan.base.files import HTML_COMMENT, write_marked
-from hplan.base.units import at_least_mm
+from hplan.base.units import at_least_mm, at_most_deg
 from hplan.errors import HplanError
 from hplan.planning.failures import REASON_WORDS
 from hplan.robot.model import Robot
@@ -220,6 +220,8 @@ def certificate_words(certificate: Certificate | None) -> tuple[str, str, list[s
         if loads:
             force, stress = (max(getattr(push, key) for push in loads) for key in ("force_n", "stress_mpa"))
             sentences.append(f"Limbs and fruit are pushed with at most {force:.1f} N and bent by {stress:.1f} MPa")
+    if certificate.max_tilt_rad is not None:
+        sentences.append(f"The tool tilts by at most {at_most_deg(certificate.max_tilt_rad)} deg at any time")
     if certificate.uncovered_links:
         names = ", ".join(certificate.uncovered_links)
         sentences.append(f"Not covered, because drawn without a matching collision shape: {names}")

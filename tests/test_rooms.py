@@ -31,6 +31,7 @@ ROOMS = (
     "online",
     "tour",
     "study",
+    "adapters",
     "apps",
     "planar",
 )

@@ -18,7 +18,14 @@ from hplan.trajectory.trajectory import Trajectory
 
 
 def braking(
-    robot: Robot, position: FloatArray, velocity: FloatArray, acceleration: FloatArray, period: float, push: FloatArray
+    robot: Robot,
+    position: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    period: float,
+    push: FloatArray,
+    *,
+    desired: FloatArray | None = None,
 ) -> Trajectory | None:
     """Quickest stop of each joint; None if it takes too many samples.
 
@@ -29,12 +36,17 @@ def braking(
         acceleration: (dof,) current acceleration [rad/s^2].
         period: Time between samples [s].
         push: (dof,) maximum accelerations [rad/s^2].
+        desired: (dof,) velocity that the joints approach in the first period, before they stop; None to stop at once.
     """
     most = np.maximum(push, np.abs(acceleration)) * period**2
     jerk = np.full(robot.dof, np.inf) if robot.jerk_limit is None else robot.jerk_limit * period**3
     points = list(points_of(position, velocity, acceleration, period))
     change = acceleration * period**2
     step = period * velocity + 0.5 * change
+    if desired is not None:
+        change = _change(step - period * desired, change, most, jerk)
+        step = step + change
+        points.append(points[-1] + step)
     while (step != 0.0).any() or (change != 0.0).any():
         # Maximum number of samples of a stop.
         if len(points) > 20_000:

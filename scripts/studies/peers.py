@@ -16,6 +16,7 @@ from studies.harness import Row, StudyConfig
 from studies.measure import or_error, ratio, timed
 from studies.outside import TimedMotion, contacts, findings
 
+from hplan.adapters.ompl import MARGIN_M, Validity
 from hplan.base.arrays import FloatArray
 from hplan.base.lazy_import import extra
 from hplan.collision.compiled_field import ClearanceField
@@ -27,8 +28,8 @@ from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 
-#: CPU time limits for finding and for simplifying a path [s]; clearance required of the motions of a path [m].
-PATIENCE_S, SIMPLIFY_S, MARGIN_M = 10.0, 1.0, 1e-5
+#: CPU time limits for finding and for simplifying a path [s].
+PATIENCE_S, SIMPLIFY_S = 10.0, 1.0
 
 #: Use of a limit that counts as a violation: cubics between a peer's samples of 5 ms add up to a tenth.
 _OVER = 1.2
@@ -85,27 +86,18 @@ def ompl_path(
     base, geometric, _ = ompl()
     robot, begin = world.robot, scene.start.configuration
     joints = np.flatnonzero(~robot.locked_mask(scene.locked_joints)).tolist()
-    axes = range(len(joints))
     space, bounds = base.RealVectorStateSpace(len(joints)), base.RealVectorBounds(len(joints))
     for axis, joint in enumerate(joints):
         bounds.setLow(axis, float(robot.lower[joint]))
         bounds.setHigh(axis, float(robot.upper[joint]))
     space.setBounds(bounds)
-    setup, q = geometric.SimpleSetup(space), np.stack([begin, begin])
-
-    class Verified(base.MotionValidator):  # type: ignore[misc, name-defined]
-        def checkMotion(self, first: Any, second: Any) -> bool:  # noqa: N802 - OMPL's name
-            q[:, joints] = [[state[axis] for axis in axes] for state in (first, second)]
-            return world.field.is_clear(q, MARGIN_M)
-
-    def is_free(state: Any) -> bool:
-        q[0, joints] = [state[axis] for axis in axes]
-        return world.field.spare_clearance(q[0]) > 0.0
-
-    setup.setStateValidityChecker(is_free)
+    setup = geometric.SimpleSetup(space)
+    validity = Validity(world, begin, robot.locked_mask(scene.locked_joints))
+    setup.setStateValidityChecker(validity.is_valid)
     information = setup.getSpaceInformation()
+    validator = validity.motion_validator(information)
     if resolution is None:
-        information.setMotionValidator(Verified(information))
+        information.setMotionValidator(validator)
     else:
         information.setStateValidityCheckingResolution(resolution)
     ends = [space.allocState(), space.allocState()]
@@ -114,7 +106,7 @@ def ompl_path(
             state[axis] = float(end[joint])
     setup.setStartAndGoalStates(*ends)
     setup.setPlanner(getattr(geometric, planner)(information))
-    world.field.is_clear(q, MARGIN_M)  # compile before OMPL's time starts
+    world.field.is_clear(np.stack([begin, begin]), MARGIN_M)  # compile before OMPL's time starts
     world.field.spare_clearance(begin)
     # If an end is in collision OMPL sleeps without CPU time: a wall-clock limit wakes it.
     until_s, patience_s = time.thread_time() + seconds, time.monotonic() + 1.5 * seconds
@@ -126,7 +118,7 @@ def ompl_path(
     setup.simplifySolution(SIMPLIFY_S)
     states = setup.getSolutionPath().getStates()
     path = np.repeat(begin[None], len(states), axis=0)
-    path[:, joints] = [[state[axis] for axis in axes] for state in states]
+    path[:] = [validity.configuration(state) for state in states]
     path[0], path[-1] = begin, goal
     return path
 

@@ -5,16 +5,16 @@ motions before the first one is executed on an arm whose masses differ from the 
 sway in the wind, and fruit hang from stalks that break.
 
 Each of three planners picks up to `FRUITS` of the fruit that it finds reachable. hplan's tours know how wood bends.
-They are certified for what the planner sees and for the tracking error; `--values sigmas=3` also covers the errors of
-base and camera, which leaves almost no fruit within reach. The recipe of MoveIt is RRTConnect, simplified and timed by
-toppra, with a padding of `PADDING_M`: once with all wood rigid, once without the wood that is thinner than the clamp
-radius. It picks the nearest fruit next and stops at stand-offs.
+They are certified for three standard deviations of what the planner sees, which cover the errors of base and camera,
+and for the tracking error (`--values sigmas=0`: for what the planner sees only). The recipe of MoveIt is RRTConnect,
+simplified and timed by toppra, with a padding of `PADDING_M`: once with all wood rigid, once without the wood that is
+thinner than the clamp radius. It picks the nearest fruit next and stops at stand-offs.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -35,6 +35,7 @@ from hplan.planning.options import PlanOptions
 from hplan.planning.reachable import FruitReach, reachable
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start, with_limbs
+from hplan.scene.obstacle_kind import Convex
 from hplan.scene.obstacles import Capsule
 from hplan.scene.orchard import MeasuredOptions, measured_orchard
 from hplan.scene.wood import Wood
@@ -50,11 +51,12 @@ DISTANCE_M, FRUITS = 1.5, 12
 #: relative error of the masses, and mean speed of the wind [m/s].
 BASE_M, BASE_DEG, CAMERA_M, MASS_ERROR, WIND_M_S = 0.005, 0.3, 0.003, 0.2, 3.0
 
-#: Standard deviations that the scene states: of wood, and of fruit [m]. Three of them cover the error of the base.
-WOOD_SIGMA_M, FRUIT_SIGMA_M = 0.004, 0.005
+#: Standard deviations that certificates cover. Three of those that the scene states are the largest error of the base
+#: at an obstacle, and for fruit the camera's as well.
+SIGMAS = 3.0
 
 #: Tracking error that motions allow for [rad], and the controller's bandwidth [rad/s].
-TRACKING_RAD, BANDWIDTH = 0.0005, 200.0
+TRACKING_RAD, BANDWIDTH = 0.001, 300.0
 
 #: Maximum distance of a fruit from the tool at which the gripper takes it [m], and the time that it takes [s].
 GRIPPER_M, GRIP_S = 0.03, 0.5
@@ -124,17 +126,26 @@ def seen_scene(scene: Scene, random: np.random.Generator) -> Scene:
     fruits = tuple(
         fruit.copy_unchecked({
             "center": tuple((np.array(fruit.center) + random.normal(scale=CAMERA_M, size=3)).tolist()),
-            "sigma": FRUIT_SIGMA_M,
+            "sigma": math.hypot(_base_sigma(fruit.center), CAMERA_M),
         })
         for fruit in seen.fruits
     )  # fmt: skip
-    obstacles = tuple(piece.copy_unchecked({"sigma": WOOD_SIGMA_M}) for piece in seen.obstacles)
+    obstacles = tuple(
+        piece.copy_unchecked({"sigma": max(_base_sigma(point) for point in piece.core.tolist())})
+        for piece in seen.obstacles
+        if isinstance(piece, Convex)
+    )
     return seen.with_values(obstacles=obstacles, fruits=fruits)
+
+
+def _base_sigma(point: Sequence[float]) -> float:
+    """Standard deviation of which `SIGMAS` are the largest error of a point by that of the base [m]."""
+    return (BASE_M + math.radians(BASE_DEG) * math.hypot(*point[:2])) / SIGMAS
 
 
 def _plan_tour(config: StudyConfig, robot: Robot, seen: Scene) -> _Work:
     """A certified tour."""
-    sigmas = config.values.get("sigmas", (0.0,))[0]
+    sigmas = config.values.get("sigmas", (SIGMAS,))[0]
     options = PlanOptions(effort=config.effort, tracking_error=TRACKING_RAD, sigmas=sigmas)
 
     def tour_or_none() -> TourResult | None:

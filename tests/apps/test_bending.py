@@ -240,7 +240,12 @@ def test_command(small_orchard: Path, robot: Robot, tmp_path: Path, capsys: pyte
     assert trees["contacts"]
     assert all(one["limb"] in text and one["force_n"] > 0.0 for one in trees["contacts"])
     assert {"broken", "knocked_off", "goal", "limits"} <= set(trees)
-    assert any("/limbs/" in path for path in objects(commands_of(page.read_text(encoding="utf-8"))))
+    shown = page.read_text(encoding="utf-8")
+    assert any("/limbs/" in path for path in objects(commands_of(shown)))
+    limbs = len({one["limb"] for one in trees["contacts"] if not one["is_fruit"]})
+    assert f"Touched {limbs} limb{'' if limbs == 1 else 's'}" in shown
+    assert ">simulated<" in shown
+    assert "no certificate" not in shown
     softer = load_script("execute").main(
         [*command, "--youngs-modulus", "0.7", "--json", "--wood-strength", "1000", "--wind", "1", "90"]
     )

@@ -115,12 +115,12 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
         if file is not None:
             check_output_file(file, option, force=arguments.force)
     result = execute(robot, scene, motion, plant, trees)
-    if arguments.page is not None:
-        _write_page(robot, scene, result, arguments.page)
     outcome = _Outcome(
         scene, result, _certified_bounds(job, robot, result.trees), _grasp_time(job, scene, motion),
         None if job is None else job.report["certificate"].get("goal_displacement_m"),
     )  # fmt: skip
+    if arguments.page is not None:
+        _write_page(robot, outcome, arguments.page)
     report = {"status": "ok" if result.ok else "failed", "scene": scene.name, "robot": robot.name}
     report |= _execution_report(outcome)
     hand_out(arguments, console, report, lambda: _show(console, arguments, outcome))
@@ -191,13 +191,15 @@ def _grasp_time(job: FinishedJob | None, scene: Scene, motion: Any) -> float:
     return job.playback(motion).picked.get(scene.goal.fruit or "", end)
 
 
-def _write_page(robot: Robot, scene: Scene, result: Execution, path: Path) -> None:
+def _write_page(robot: Robot, outcome: _Outcome, path: Path) -> None:
     """Write the animated page of the simulated motion."""
     from hplan.apps.view.page import write_page
     from hplan.apps.view.playback import Playback
 
+    result, words = outcome.result, _describe(outcome)
     bodies = None if result.trees is None else result.trees.motions
-    write_page(robot, scene, Playback(result.trajectory, bodies=bodies), path)
+    verdict = result.ok, f"{words[0].upper()}{words[1:]}."
+    write_page(robot, outcome.scene, Playback(result.trajectory, bodies=bodies, outcome=verdict), path)
 
 
 def _execution_report(outcome: _Outcome) -> dict[str, Any]:
@@ -325,13 +327,18 @@ def _show_execution(console: Console, path: Path, outcome: _Outcome) -> None:
     console.print()
     if result.trees is not None:
         _show_trees(console, result.trees, outcome)
+    console.print(f"[bold {'green' if result.ok else 'red'}]{escape(_describe(outcome))}[/]\n")
+
+
+def _describe(outcome: _Outcome) -> str:
+    """The verdict in a few words: contacts, damage and the end of the motion."""
+    result = outcome.result
     obstacles = list(dict.fromkeys(touch.obstacle for touch in result.contacts))
     more = f" and {len(obstacles) - 3} more" if len(obstacles) > 3 else ""
-    touched = f"touched {escape(', '.join(obstacles[:3]))}{more}" if obstacles else "touched nothing"
-    if result.trees is not None:
-        touched = _describe_trees(result.trees, touched if obstacles else "")
+    words = [f"touched {', '.join(obstacles[:3])}{more}"] if obstacles else []
+    words += [] if result.trees is None else _describe_trees(result.trees, outcome)
     ended = "ended at the goal" if result.ended_at_goal else "did not end at the goal"
-    console.print(f"[bold {'green' if result.ok else 'red'}]{touched}, {ended}[/]\n")
+    return ", ".join([*(words or ["touched nothing"]), ended])
 
 
 def _show_trees(console: Console, trees: TreeResponse, outcome: _Outcome) -> None:
@@ -372,14 +379,22 @@ def _bound_words(bound: Mapping[str, Any], key: str) -> str:
     return "" if value is None else f" of {value:.1f}"
 
 
-def _describe_trees(trees: TreeResponse, touched: str) -> str:
-    """Describe contacts with rigid obstacles and with trees in a few words."""
+def _describe_trees(trees: TreeResponse, outcome: _Outcome) -> list[str]:
+    """Contacts with limbs and fruit, and damage, in a few words."""
     limbs = {one.limb for one in trees.contacts if not one.is_fruit}
     fruit = {one.limb for one in trees.contacts if one.is_fruit}
     beyond = sum(not one.is_within(trees.wood) for one in trees.contacts)
-    words = [touched] if touched else []
-    words.append(f"touched {len(limbs)} limbs and {len(fruit)} fruit" if trees.contacts else "touched no limb")
-    words += [f"{beyond} contacts beyond the limits"] if beyond else []
-    words += [f"broke {len(trees.broken)} limbs"] if trees.broken else []
+    words = ["touched no limb"]
+    if trees.contacts:
+        most = max(trees.contacts, key=lambda one: one.force_n)
+        bound = _bound_words(outcome.bounds.get((most.limb, most.link), {}), "force_n")
+        touched = [_count(len(limbs), "limb")] * bool(limbs) + [f"{len(fruit)} fruit"] * bool(fruit)
+        words = [f"touched {' and '.join(touched)} with at most {most.force_n:.1f}{bound} N"]
+    words += [f"{_count(beyond, 'contact')} beyond the limits"] if beyond else []
+    words += [f"broke {_count(len(trees.broken), 'limb')}"] if trees.broken else []
     words += [f"knocked off {len(trees.knocked_off)} fruit"] if trees.knocked_off else []
-    return ", ".join(words)
+    return words
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}{'' if number == 1 else 's'}"

@@ -307,6 +307,9 @@ def _panel(robot: Robot, scene: Scene, playback: Playback) -> str:
     """HTML of a motion's certificate, controls, time line and charts."""
     kind, words, violations = certificate_words(playback.certificate)
     title = {"ok": "certified", "bad": "not certified", "none": "no certificate"}[kind]
+    if playback.outcome is not None:
+        went_well, words = playback.outcome
+        kind, title = "ok" if went_well else "bad", "simulated"
     listed = "".join(f"<li>{html.escape(violation)}</li>" for violation in violations[:MOST_VIOLATIONS])
     if len(violations) > MOST_VIOLATIONS:
         listed += f"<li>and {len(violations) - MOST_VIOLATIONS} more</li>"

@@ -47,6 +47,7 @@ class Playback:
         pickers: For several arms, the name of the arm that picks each fruit.
         unpicked: Reason of each fruit that a tour does not pick (`hplan.planning.failures.Reason`), by name.
         bodies: Motions of limbs and fruit, as of `hplan.apps.execution.simulation.execute`; None for a tree at rest.
+        outcome: For a simulated motion True if all went well, and a sentence about it, in place of a certificate.
     """
 
     trajectory: Trajectory
@@ -61,6 +62,7 @@ class Playback:
     pickers: Mapping[str, str] = field(default_factory=dict)
     unpicked: Mapping[str, str] = field(default_factory=dict)
     bodies: BodyMotions | None = None
+    outcome: tuple[bool, str] | None = None
 
     def __post_init__(self) -> None:
         instance("trajectory", self.trajectory, Trajectory, "plan or read_csv")

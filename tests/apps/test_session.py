@@ -151,6 +151,16 @@ def test_node_without_ros_names_the_extra(capsys: pytest.CaptureFixture[str]) ->
     assert "expected --ros-args, got 'robot:=panda'" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("node", "words"), [("judge", "a verdict [s]"), ("plan", "Maximum time for a plan from rest [s].")]
+)
+def test_help_lists_the_parameters_of_a_node(node: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ros", node, "--help"]) == 0
+    found = " ".join(capsys.readouterr().out.split())
+    assert words in found.partition("deadline_s")[2]
+    assert "(default: 5.0)" in found
+
+
 def test_outcomes() -> None:
     assert outcome_of({"error_code": 0, "error_string": ""}) == (True, "successful")
     assert outcome_of(SimpleNamespace(error_code=-9, error_string="x")) == (False, "error code -9: x")

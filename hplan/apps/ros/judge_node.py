@@ -68,6 +68,10 @@ class RelayOptions(Options):
     fetch_scene: bool = True
 
 
+#: Dataclasses of the node's parameters.
+PARAMETERS = (RobotOptions, JudgeOptions, RelayOptions, NodeOptions)
+
+
 def make_node() -> Any:
     """The node, in the process's default context; call after `rclpy.init`.
 
@@ -81,8 +85,7 @@ def make_node() -> Any:
     class JudgeNode(rclpy.node.Node):  # type: ignore[misc, name-defined]
         def __init__(self) -> None:
             super().__init__("hplan_judge")
-            kinds = (RobotOptions, JudgeOptions, RelayOptions, NodeOptions)
-            self.of_robot, self.of_judge, self.of_relay, of_node = read_parameters(self, *kinds)
+            self.of_robot, self.of_judge, self.of_relay, of_node = read_parameters(self, *PARAMETERS)
             if self.of_relay.controller and self.of_judge.start_tolerance == 0.0:
                 self.of_judge = self.of_judge.with_values(start_tolerance=START_TOLERANCE)
             robot, scene = load_arm(self, self.of_robot)

@@ -151,7 +151,8 @@ def read_parameters(node: Any, *kinds: type[Options]) -> list[Any]:
             try:
                 parameter = node.declare_parameter(field.name, array if is_list else default, descriptor)
             except InvalidParameterTypeException as error:
-                raise OptionError(field.name, _override(node, field.name), f"a {type(default).__name__}") from error
+                expected = f"a {type(default).__name__}" + (", such as 1.0" if isinstance(default, float) else "")
+                raise OptionError(field.name, _override(node, field.name), expected) from error
             given = parameter.value
             values[field.name] = default if given is None else tuple(given) if is_list else given
         found.append(kind(**values))
@@ -195,11 +196,13 @@ def load_arm(node: Any, options: RobotOptions) -> tuple[Robot, Scene]:
     source: Any = options.robot or (None if scene is None else scene.robot)
     with tempfile.TemporaryDirectory() as folder, _warning_in_log(node):
         if source is None:
+            topic = node.resolve_topic_name("robot_description")
+            node.get_logger().info(f"waiting for the robot on {topic}")
             source = _wait_for_text(node, "robot_description", _DESCRIPTION_S)
             if source is None:
                 raise InputError(
-                    f"no robot description on {node.resolve_topic_name('robot_description')} within "
-                    f"{_DESCRIPTION_S:g} s; set the parameter robot to a URDF file, or start robot_state_publisher"
+                    f"no robot description on {topic} within {_DESCRIPTION_S:g} s; set the parameter robot to a URDF "
+                    "file, or start robot_state_publisher"
                 )
             semantic = None if options.srdf else _wait_for_text(node, "robot_description_semantic", _SEMANTIC_S)
             if semantic is not None:

@@ -90,6 +90,10 @@ class OutputOptions(Options):
     warm_up: bool = True
 
 
+#: Dataclasses of the node's parameters.
+PARAMETERS = (RobotOptions, SessionOptions, OutputOptions, NodeOptions)
+
+
 def make_node() -> Any:
     """The node, in the process's default context; call after `rclpy.init`.
 
@@ -106,8 +110,7 @@ def make_node() -> Any:
     class PlanNode(rclpy.node.Node):  # type: ignore[misc, name-defined]
         def __init__(self) -> None:
             super().__init__("hplan_planner")
-            kinds = (RobotOptions, SessionOptions, OutputOptions, NodeOptions)
-            self.of_robot, of_session, self.of_output, of_node = read_parameters(self, *kinds)
+            self.of_robot, of_session, self.of_output, of_node = read_parameters(self, *PARAMETERS)
             self.robot, scene = load_arm(self, self.of_robot)
             if self.of_output.warm_up:
                 warm_up(self.robot)

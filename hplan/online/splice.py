@@ -15,6 +15,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,6 +29,7 @@ from hplan.certificate.goal_contact import FruitContact
 from hplan.certificate.moving_obstacles import checker_in_time
 from hplan.certificate.retimed_certificate import CertifiedMotion, certified_from, map_to_retimed
 from hplan.certificate.task_check import TASK_TOLERANCE
+from hplan.collision.coal_scene import CoalScene
 from hplan.collision.held_objects import holding
 from hplan.errors import HplanError, InputError, NotOnMotionError, RunningMotionBlockedError, UnavoidableContactError
 from hplan.planning.in_time import without_moving
@@ -51,6 +54,10 @@ class SplicedResult(PlanResult):
 
     seam_s: float = 0.0
     is_kept: bool = False
+
+
+#: What a certificate of a motion assumes of a scene.
+_SURROUNDINGS: Final = tuple(key for key in Scene.model_fields if key not in ("name", "start", "goal", "locked_joints"))
 
 
 def _state_at(trajectory: Trajectory, row: int) -> Start:
@@ -119,11 +126,21 @@ class RunningMotion:
             self._check_measured(measured)
         self.row = max(int(np.searchsorted(time, self._now + self._same_s, side="right")) - 1, 0)
         self.begins_s = float(time[self.row])
-        still = without_moving(scene.starting_at(self.begins_s)) if scene.moves else scene
-        self._world = World.of_scene(self._robot, still, options)
-        self._checker = checker_in_time(self._robot, scene, options.sigmas) if scene.moves else self._world.checker
         # Contact is allowed with the fruits that existed at planning time, not with different ones of the same names.
         self._contacts = tuple(each for each in plan.certificate.contacts if each.is_with(scene.fruits))
+
+    @cached_property
+    def _world(self) -> World:
+        """The arm among the obstacles that do not move."""
+        scene = self._scene
+        still = without_moving(scene.starting_at(self.begins_s)) if scene.moves else scene
+        return World.of_scene(self._robot, still, self._options)
+
+    @cached_property
+    def _checker(self) -> CoalScene:
+        """Collision checker of the arm among all obstacles."""
+        scene, options = self._scene, self._options
+        return checker_in_time(self._robot, scene, options.sigmas) if scene.moves else self._world.checker
 
     def _since_begin(self, option: str, value: float, low: float) -> float:
         """Convert a controller time to one since the motion's start.
@@ -200,6 +217,8 @@ class RunningMotion:
 
     def _stop_at(self, t: float) -> CertifiedMotion:
         """Return the stop that starts a time after the motion's start."""
+        if self._is_certified:
+            return self.plan.stop_at(t)  # on the same path, among the same obstacles
         retimed = stop_motion(self.plan.trajectory, t, self._robot)
         motion = retimed.trajectory
         certificate = self._certificate(retimed, min(self.row, motion.samples - 1), rest=True)
@@ -208,6 +227,18 @@ class RunningMotion:
         robot, begins_s = self._robot, self.plan.begins_s
         return CertifiedMotion(
             motion, certificate, parts_s, retimed.off_path_m, robot, self._scene, retimed.clock, begins_s
+        )
+
+    @property
+    def _is_certified(self) -> bool:
+        """True if the running motion was certified among the current obstacles, which do not move."""
+        plan, scene = self.plan, self._scene
+        before, now = plan.motion.problem.options, self._options
+        return (
+            plan.certificate.verified
+            and not scene.moves
+            and (before.certified_tracking, before.sigmas) == (now.certified_tracking, now.sigmas)
+            and all(getattr(plan.scene, key) == getattr(scene, key) for key in _SURROUNDINGS)
         )
 
     def _may_stay(self) -> bool:

@@ -248,3 +248,16 @@ def test_only_the_last_motion_can_be_used_at_another_speed(robot: Robot) -> None
         planner.use(first)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="plan one first"):
         Planner(robot, planner.scene).use(slow)
+
+
+@pytest.mark.parametrize("change", ["obstacle", "clearance", "tracking"])
+def test_stop_of_a_certified_motion_is_certified_anew_after_a_change(robot, change):
+    planner, before = a_planner(robot, effort="quick")
+    assert planner.stop_at(0.4, now=0.2).certificate.verified
+    if change == "obstacle":
+        planner.add(Sphere(name="new", center=on_the_way(robot, before.trajectory, 0.3), radius=0.05))
+    elif change == "clearance":
+        planner.scene = planner.scene.with_values(clearance=1.0)
+    else:
+        planner.options = PlanOptions(tracking_error=0.5)
+    assert not planner.stop_at(0.4, now=0.2).certificate.verified

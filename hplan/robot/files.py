@@ -1,25 +1,26 @@
 """Finds, reads and checks the files of any robot.
 
 A robot has a URDF and, in the same folder, a limits YAML for limits that URDF cannot express. Robots of the package
-example-robot-data are found by name (extra `robots`).
+example-robot-data are found by name (extra `robots`), those of robot_descriptions as `robot_descriptions:NAME`.
 """
 
 from __future__ import annotations
 
 import itertools
 import xml.etree.ElementTree as ET
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import Final, NamedTuple
 
 import coal
 import numpy as np
 import pinocchio as pin
 
-from hplan.base.arguments import file_path
+from hplan.base.arguments import file_path, nearest_name
 from hplan.base.data_files import shipped_limits, shipped_robots, urdf_dir
 from hplan.base.files import is_file
 from hplan.errors import InputError, RobotFileError
@@ -27,6 +28,9 @@ from hplan.robot.faults import Faults
 from hplan.robot.urdf_check import check_models
 from hplan.robot.urdf_file import Urdf, check_moving_joints, read_urdf
 from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, line_of, read_urdf_xml
+
+#: Beginning of the names of robots of the package robot_descriptions.
+DESCRIBED: Final = "robot_descriptions:"
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,7 @@ class RobotFiles:
         srdf: The SRDF; None if there is no SRDF.
         limits: The limits file; None for the default one in the URDF's folder.
         package_dirs: Folders of its meshes.
+        xacro_args: Values of the arguments of a xacro file, by name.
     """
 
     urdf: Path
@@ -70,6 +75,7 @@ class RobotFiles:
     srdf: Path | None = None
     limits: Path | None = None
     package_dirs: tuple[Path, ...] = ()
+    xacro_args: Mapping[str, str] = field(default_factory=dict)
 
 
 def named_robot(name: str) -> RobotFiles:
@@ -93,6 +99,35 @@ def named_robot(name: str) -> RobotFiles:
     )
 
 
+def described_robot(name: str) -> RobotFiles:
+    """Locate the files of a robot of the package robot_descriptions.
+
+    Args:
+        name: Name of its module, with or without `_description`: `ur5e`, `panda_mj`.
+
+    Raises:
+        InputError: The package is not installed, has no such robot, or cannot fetch it.
+    """
+    module = name.removesuffix("_description") + "_description"
+    try:
+        found = import_module(f"robot_descriptions.{module}")
+    except ImportError as error:
+        if find_spec("robot_descriptions") is None:
+            reason = "is in the package robot_descriptions, which is not installed: pip install robot_descriptions"
+        else:
+            reason = f"is not in the package robot_descriptions: it has no module {module!r}"
+        raise InputError(f"robot {name!r} {reason}", robot=name) from error
+    except Exception as error:  # of git, which clones the robot's repository
+        raise InputError(f"robot {name!r} cannot be fetched by robot_descriptions: {error}", robot=name) from error
+    paths = [getattr(found, f"{kind}_PATH", None) for kind in ("URDF", "XACRO", "MJCF")]
+    file = next((path for path in paths if path is not None), None)
+    if file is None:
+        raise InputError(f"robot {name!r} of robot_descriptions has neither URDF nor xacro nor MJCF", robot=name)
+    folders = tuple(Path(getattr(found, key)) for key in ("PACKAGE_PATH", "REPOSITORY_PATH") if hasattr(found, key))
+    arguments = {key: str(value) for key, value in getattr(found, "XACRO_ARGS", {}).items()}
+    return RobotFiles(Path(file), package_dirs=folders, xacro_args=arguments)
+
+
 def robot_files(path: Path | str | None) -> RobotFiles:
     """Locate the files of a robot by URDF path, text or name.
 
@@ -102,6 +137,8 @@ def robot_files(path: Path | str | None) -> RobotFiles:
     Raises:
         InputError: The package of the named robot is not installed.
     """
+    if path is not None and str(path).startswith(DESCRIBED):
+        return described_robot(str(path).removeprefix(DESCRIBED))
     if isinstance(path, str) and is_urdf_text(path):
         return RobotFiles(URDF_TEXT)
     found = urdf_dir() / "harvester.urdf" if path is None else file_path("path", path)
@@ -111,6 +148,72 @@ def robot_files(path: Path | str | None) -> RobotFiles:
         if str(path) in NAMED_ROBOTS:
             return named_robot(str(path))
     return RobotFiles(found)
+
+
+class RobotGroup(NamedTuple):
+    """Joints of a group of an SRDF.
+
+    Attributes:
+        base: Link below the group's first joint; None if the joints are listed.
+        tip: Link at its end; None if the joints are listed.
+        joints: Names of the listed joints, fixed ones too; empty for a chain.
+    """
+
+    base: str | None
+    tip: str | None
+    joints: tuple[str, ...]
+
+
+def read_group(path: Path, name: str) -> RobotGroup:
+    """Read a group of an SRDF: a chain, or a list of joints.
+
+    Raises:
+        RobotFileError: The file is missing or malformed, has no such group, or the group is neither a single chain nor
+            a list of joints.
+    """
+    root = read_urdf_xml(path)
+    groups = {str(group.get("name")): group for group in root.findall("group")}
+
+    def parts(group: str, above: tuple[str, ...] = ()) -> list[ET.Element]:
+        if group not in groups:
+            raise RobotFileError(path, f"group {group!r}: {nearest_name(group, groups)}")
+        if group in above:
+            raise RobotFileError(path, f"group {group!r} contains itself")
+        found: list[ET.Element] = []
+        for part in groups[group]:
+            found += parts(str(part.get("name")), (*above, group)) if part.tag == "group" else [part]
+        return found
+
+    found = parts(name)
+    chains = [part for part in found if part.tag == "chain"]
+    joints = tuple(str(part.get("name")) for part in found if part.tag == "joint")
+    if len(chains) == 1 and not joints:
+        return RobotGroup(chains[0].get("base_link"), chains[0].get("tip_link"), ())
+    if joints and not chains:
+        return RobotGroup(None, None, joints)
+    kinds = ", ".join(dict.fromkeys(part.tag for part in found)) or "nothing"
+    raise RobotFileError(path, f"group {name!r} has {kinds}; expected one <chain>, or <joint>s")
+
+
+def read_group_state(path: Path, name: str) -> dict[str, float]:
+    """Read the joint values of a group state of an SRDF, of all groups that have one of this name [rad, m].
+
+    Raises:
+        RobotFileError: The file is missing or malformed, has no such state, or a value is not a number.
+    """
+    states = read_urdf_xml(path).findall("group_state")
+    named = [state for state in states if state.get("name") == name]
+    if not named:
+        known = [str(state.get("name")) for state in states]
+        raise RobotFileError(path, f"group state {name!r}: {nearest_name(name, known)}")
+    values: dict[str, float] = {}
+    for joint in (joint for state in named for joint in state.findall("joint")):
+        try:
+            values[str(joint.get("name"))] = float(joint.get("value", ""))
+        except ValueError as error:
+            reason = f"{line_of(joint)}value of joint {joint.get('name')!r} is {joint.get('value')!r}"
+            raise RobotFileError(path, f"{reason}, expected one number") from error
+    return values
 
 
 def read_srdf(path: Path, links: Collection[str] | None = None) -> tuple[tuple[str, str, str], ...]:
@@ -211,7 +314,9 @@ def read_models(urdf_path: Path) -> tuple[pin.Model, pin.GeometryModel, pin.Geom
     root, faults = read_urdf_xml(urdf_path), Faults(urdf_path)
     urdf = read_urdf(urdf_path, root, faults=faults)
     faults.check()
-    return build_models(urdf_path, urdf, ET.tostring(root, encoding="unicode") if faults.mended else None)
+    return build_models(
+        urdf_path, urdf, ET.tostring(root, encoding="unicode") if faults.mended or root.is_made else None
+    )
 
 
 def build_models(
@@ -246,6 +351,8 @@ def build_models(
         reason = f"Pinocchio refuses it: {cause} (its own messages, if any, are on the terminal)"
         raise RobotFileError(urdf_path, reason) from error
     check_models(urdf_path, urdf, models[0], models[1])
+    for number, name in enumerate(models[0].names[1:]):
+        models[0].armature[number] = urdf.joints[name].armature
     for model in models[1:]:
         _check_meshes(faults, model)
     faults.check()

@@ -8,8 +8,8 @@ import tempfile
 import time
 import warnings
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +20,15 @@ import pinocchio as pin
 from hplan.base.arrays import FloatArray
 from hplan.errors import HplanWarning, RobotFileError, RobotFileWarning
 from hplan.robot.faults import Faults
-from hplan.robot.files import robot_files
+from hplan.robot.files import RobotFiles, robot_files
 from hplan.robot.limits_file import ACCELERATION_SCALE, LIMIT_KEYS, LIMITS_FORMAT
 from hplan.robot.mesh_files import MeshFinder
+from hplan.robot.mjcf import VELOCITY_GUESS
 from hplan.robot.model import Robot, load_robot
 from hplan.robot.urdf_adaptation import joints_up_to, tool_frames
 from hplan.robot.urdf_file import Joint, Urdf, check_inertias, read_urdf
 from hplan.robot.urdf_xml import read_urdf_xml
+from hplan.robot.xml_element import Element
 
 
 @dataclass(frozen=True)
@@ -95,9 +97,9 @@ def inspect_robot(path: Path | str, *, tool_frame: str | None = None, **options:
     start = time.perf_counter()
     robot, faults, messages = _load_collecting(path, tool_frame=tool_frame, **options)
     load_s = time.perf_counter() - start
-    root = _read_root(files.urdf, options)
+    root = _read_root(files, options)
     read = Faults(files.urdf)
-    urdf = read_urdf(files.urdf, root, faults=read)
+    urdf = _without_assumed(read_urdf(files.urdf, root, faults=read), root.assumed)
     frames, _ = tool_frames(urdf)
     frame = tool_frame or (files.tool_frame if files.tool_frame in urdf.links else frames[0])
     joints = joints_up_to(urdf, frame)
@@ -121,6 +123,15 @@ def inspect_robot(path: Path | str, *, tool_frame: str | None = None, **options:
     )
 
 
+def _without_assumed(urdf: Urdf, assumed: Mapping[str, Collection[str]]) -> Urdf:
+    """Return the content of a file without the limits that were assumed."""
+    joints = {
+        name: replace(joint, limits={k: v for k, v in joint.limits.items() if k not in assumed.get(name, ())})
+        for name, joint in urdf.joints.items()
+    }
+    return Urdf(urdf.links, joints)
+
+
 def _load_collecting(path: Path | str, **options: Any) -> tuple[Robot | None, tuple[str, ...], tuple[str, ...]]:
     """Robot, faults and warnings of loading a file."""
     with warnings.catch_warnings(record=True) as found:
@@ -140,9 +151,9 @@ def _load_collecting(path: Path | str, **options: Any) -> tuple[Robot | None, tu
     return robot, faults, tuple(messages)
 
 
-def _read_root(urdf: Path, options: Mapping[str, Any]) -> ET.Element:
-    folders = [Path(folder) for folder in options.get("package_dirs", ())]
-    return read_urdf_xml(urdf, None, folders, options.get("xacro_args"))
+def _read_root(files: RobotFiles, options: Mapping[str, Any]) -> Element:
+    folders = [*(Path(folder) for folder in options.get("package_dirs", ())), *files.package_dirs]
+    return read_urdf_xml(files.urdf, None, folders, {**files.xacro_args, **(options.get("xacro_args") or {})})
 
 
 def _has_body(link: ET.Element) -> bool:
@@ -205,7 +216,7 @@ def limits_template(name: str, urdf: Urdf, joints: Sequence[Joint]) -> str:
     for joint in joints:
         velocity, effort = joint.limits.get("velocity", 0.0), joint.limits.get("effort", 0.0)
         if not velocity > 0.0:
-            velocity = 0.1 if joint.kind == "prismatic" else 1.0
+            velocity = VELOCITY_GUESS[joint.kind == "prismatic"]
             put(joint, "velocity", velocity, "the URDF has no positive velocity")
         if not effort > 0.0:
             put(joint, "effort", _effort_guess(urdf, joint), "twice what its load weighs; the URDF has no effort")
@@ -255,7 +266,7 @@ def repair_urdf(path: Path, out: Path, **options: Any) -> tuple[str, tuple[str, 
     Raises:
         RobotFileError: The file is missing or no URDF.
     """
-    root, faults = _read_root(path, options), Faults(path, repairs=True)
+    root, faults = _read_root(RobotFiles(path), options), Faults(path, repairs=True)
     meshes = MeshFinder(path, [Path(folder) for folder in options.get("package_dirs", ())])
     urdf = read_urdf(path, root, faults=faults)
     check_inertias(faults, urdf)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import warnings
-import xml.etree.ElementTree as ET
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
@@ -37,13 +36,22 @@ from hplan.errors import (
     InputError,
     JointLimitError,
     MissingVisualWarning,
+    OptionError,
     RobotFileError,
     RobotFileWarning,
     UncoveredLinkWarning,
 )
 from hplan.robot.drawn_links import ShapeFault, describe_shape_faults, find_shape_faults
 from hplan.robot.dynamics import InverseDynamics, joints_that_slide
-from hplan.robot.files import build_models, filtered_links, neighbouring_links, read_srdf, robot_files
+from hplan.robot.files import (
+    build_models,
+    filtered_links,
+    neighbouring_links,
+    read_group,
+    read_group_state,
+    read_srdf,
+    robot_files,
+)
 from hplan.robot.limits_file import default_limits, find_limits, limits_file
 from hplan.robot.mesh_files import MeshFinder
 from hplan.robot.tool_axis import find_tool_axis
@@ -51,6 +59,7 @@ from hplan.robot.tool_tube import add_tool_tube
 from hplan.robot.urdf_adaptation import AdaptedUrdf, RobotChoice, adapt_urdf
 from hplan.robot.urdf_check import check_joints, frame_number
 from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, read_urdf_xml
+from hplan.robot.xml_element import Element
 from hplan.scene.robot_source import RobotSource
 
 if TYPE_CHECKING:
@@ -494,17 +503,21 @@ def load_robot(
     collision_from_visual: bool | Sequence[str] = False,
     xacro_args: Mapping[str, str] | None = None,
     acceleration_scale: float | None = None,
+    group: str | None = None,
+    group_state: str | None = None,
+    repair_inertia: bool = False,
 ) -> Robot:
-    """Load a robot from URDF or xacro.
+    """Load a robot from URDF, xacro or MJCF.
 
     Joints that do not move become fixed.
 
     Args:
-        path: URDF or xacro file, or the URDF text itself (begins with `<`); None for the harvester that ships with
-            hplan. A name without suffix and folder that is not a file selects a robot that ships with hplan,
-            `load_robot("orchard_harvester")`, or one of example-robot-data (extra `robots`): `panda`, `ur3`, `ur5`,
-            `ur10`. A `RobotSource`, as `scene.robot`, is a file with values for the following arguments; those that are
-            given have priority.
+        path: URDF, xacro or MJCF file (`hplan.robot.mjcf`, extra `execution`), or the text itself (begins with `<`);
+            None for the harvester that ships with hplan. A name without suffix and folder that is not a file selects a
+            robot that ships with hplan, `load_robot("orchard_harvester")`, or one of example-robot-data (extra
+            `robots`): `panda`, `ur3`, `ur5`, `ur10`; `robot_descriptions:NAME` one of the package robot_descriptions. A
+            `RobotSource`, as `scene.robot`, is a file with values for the following arguments; those that are given
+            have priority.
         limits: Limits YAML, or the name of a robot whose limits ship with hplan, for example `ur5`; None for
             `NAME.limits.yaml` in the URDF's folder or, without that file, for acceleration and jerk in the URDF (1.2).
             Velocities and efforts in it take the place of the URDF's. MoveIt's `joint_limits.yaml` is read as well.
@@ -518,6 +531,11 @@ def load_robot(
             at the value given by the joint that they mimic.
         package_dirs: Folders searched for packages and meshes before those around the URDF.
         xacro_args: Values of the arguments of a xacro file, by name: `{"ur_type": "ur5e"}`.
+        group: Group of the SRDF with the moving joints: a chain, whose tip is the default tool frame, or joints; the
+            others are held.
+        group_state: Group state of the SRDF with values of held joints; those in `hold` have priority.
+        repair_inertia: True to go on with inertias that no body has, with the smaller principal moments raised;
+            `Robot.assumptions` and reports list them.
         acceleration_scale: Ratio of acceleration to velocity limits [1/s], if nothing gives acceleration limits; None
             for 2: full speed in half a second. `Robot.assumptions` and reports say so.
         srdf: SRDF with the pairs of links that may touch. Pairs that it disables because they never touch are checked
@@ -528,7 +546,8 @@ def load_robot(
             visuals; or names of the links whose collision shapes are replaced in this way.
 
     Warns:
-        RobotFileWarning: The file has faults that no motion depends on, a tilted base, or no acceleration limits.
+        RobotFileWarning: The file has faults that no motion depends on, a tilted base, or no acceleration limits; MJCF
+            has no velocity limits.
         UncoveredLinkWarning: A link has a visual, but no collision shape or one of another size.
         MissingVisualWarning: The mesh file of a visual is missing; the link is not drawn.
 
@@ -554,6 +573,9 @@ def load_robot(
         collision_from_visual=collision_from_visual,
         xacro_args=xacro_args,
         acceleration_scale=acceleration_scale,
+        group=group,
+        group_state=group_state,
+        repair_inertia=repair_inertia,
     )
     notes = (*adapted.mended, *robot.assumptions)
     if notes:
@@ -600,10 +622,17 @@ def _read_file(
     collision_from_visual: bool | Sequence[str] = False,
     xacro_args: Mapping[str, str] | None = None,
     acceleration_scale: float | None = None,
+    group: str | None = None,
+    group_state: str | None = None,
+    repair_inertia: bool = False,
 ) -> tuple[Robot, AdaptedUrdf]:
     """Return the robot of `load_robot`, and its URDF."""
     files = robot_files(path)
     given = files.limits if limits is None else limits_file(file_path("limits", limits))
+    allowed = files.srdf if srdf is None else file_path("srdf", srdf)
+    for option, name in (("group", group), ("group_state", group_state)):
+        if name is not None and allowed is None:
+            raise OptionError(option, name, "no value without an SRDF (srdf)")
     frame = instance("tool_frame", files.tool_frame if tool_frame is None else tool_frame, str)
     choice = RobotChoice(
         frame,
@@ -618,7 +647,15 @@ def _read_file(
         else list_of("collision_from_visual", collision_from_visual, str, "names of links"),
         limits=given if given is not None or files.urdf == URDF_TEXT else _find_existing(default_limits(files.urdf)),
         guesses_tool=tool_frame is None,
-        xacro_args={name: str(value) for name, value in _read_hold("xacro_args", xacro_args, "{name: value}").items()},
+        xacro_args={
+            **files.xacro_args,
+            **{name: str(value) for name, value in _read_hold("xacro_args", xacro_args, "{name: value}").items()},
+        },
+        group=None if group is None or allowed is None else read_group(allowed, instance("group", group, str)),
+        state=None
+        if group_state is None or allowed is None
+        else read_group_state(allowed, instance("group_state", group_state, str)),
+        repairs_inertia=truth("repair_inertia", repair_inertia),
         # Beyond these lengths a tube is a slip of units [m].
         tool_tube_m=None if tool_tube_m is None else check_between("tool_tube_m", tool_tube_m, 0.01, 2.0),
     )
@@ -641,7 +678,6 @@ def _read_file(
     if choice.joints is not None and choice.joints != joint_names:
         expected = f"joints: {', '.join(choice.joints)}; expected in the robot's order: {', '.join(joint_names)}"
         raise InputError(expected, joints=list(choice.joints), expected=list(joint_names))
-    allowed = files.srdf if srdf is None else file_path("srdf", srdf)
     may_touch = () if allowed is None else read_srdf(allowed, adapted.urdf.links)
     may_touch += filtered_links(urdf_path, root, adapted.urdf.links)
     if truth("allow_neighbours", allow_neighbours):
@@ -672,14 +708,14 @@ def _read_file(
         urdf_text=adapted.text,
         may_touch=may_touch,
         shape_faults=faults,
-        assumptions=() if assumed is None else (assumed,),
+        assumptions=(*adapted.assumptions, *(() if assumed is None else (assumed,))),
     )
     return robot, adapted
 
 
 def _build_models(
     urdf_path: Path, text: str | None, choice: RobotChoice, *, mend: bool = False
-) -> tuple[RobotChoice, ET.Element, AdaptedUrdf, tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]]:
+) -> tuple[RobotChoice, Element, AdaptedUrdf, tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]]:
     """Adapt a URDF and build its kinematic, collision and visual models.
 
     Unreadable visual meshes are dropped.

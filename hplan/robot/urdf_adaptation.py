@@ -11,24 +11,27 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import pinocchio as pin
 
+from hplan.base.arguments import nearest_name
 from hplan.base.arrays import Record
 from hplan.base.units import joint_unit
 from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.robot.drawn_links import shape_links_from_visuals
 from hplan.robot.faults import Faults
+from hplan.robot.files import RobotGroup
 from hplan.robot.limits_file import limits_in_place
 from hplan.robot.mesh_files import MeshFinder
 from hplan.robot.urdf_check import hold_advice
 from hplan.robot.urdf_file import LIMIT_ADVICE, Joint, Urdf, check_inertias, check_moving_joints, read_urdf
-from hplan.robot.urdf_xml import URDF_TEXT, line_of
+from hplan.robot.urdf_xml import line_of
+from hplan.robot.xml_element import Element
 from hplan.scene.limits import FARTHEST_M
 
 #: Reference frame of scenes.
@@ -58,6 +61,10 @@ class RobotChoice(Record):
         repairs: Whether faults that have an obvious remedy are mended.
         guesses_tool: Whether another frame is taken if `tool_frame` is missing and there is one candidate.
         tool_tube_m: Length of a picking tube at the tool frame [m]; None for none.
+        group: Group of an SRDF with the moving joints; None for none.
+        state: Values of joints that do not move, by name, unless `hold` has others; unlike there, joints that move
+            or do not exist have no effect [rad, m].
+        repairs_inertia: Whether inertias that no body has are mended.
     """
 
     tool_frame: str = "tool0"
@@ -71,6 +78,9 @@ class RobotChoice(Record):
     repairs: bool = False
     guesses_tool: bool = False
     tool_tube_m: float | None = None
+    group: RobotGroup | None = None
+    state: Mapping[str, float] | None = None
+    repairs_inertia: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +95,7 @@ class AdaptedUrdf(Record):
             or unreadable.
         mended: Faults of the file that no motion depends on, and what was done about each.
         tool_frame: The tool frame that was taken.
+        assumptions: Limits that nothing gives, and what is assumed.
     """
 
     urdf: Urdf
@@ -94,9 +105,10 @@ class AdaptedUrdf(Record):
     missing_visuals: tuple[tuple[str, str], ...] = ()
     mended: tuple[str, ...] = ()
     tool_frame: str = "tool0"
+    assumptions: tuple[str, ...] = ()
 
 
-def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice, faults: Faults | None = None) -> AdaptedUrdf:
+def adapt_urdf(path: Path, root: Element, choice: RobotChoice, faults: Faults | None = None) -> AdaptedUrdf:
     """Adapt a URDF: fix the joints that do not move.
 
     Args:
@@ -114,7 +126,8 @@ def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice, faults: Faults
     """
     collected = Faults(path, repairs=choice.repairs) if faults is None else faults
     meshes = MeshFinder(path, choice.package_dirs)
-    changed = _write_limits(root, choice.limits)
+    given = _write_limits(root, choice.limits)
+    changed = bool(given)
     urdf = read_urdf(path, root, faults=collected)
     missing = meshes.drop_missing_visuals(root, tries=choice.tries_visuals)
     if choice.from_visual:
@@ -127,20 +140,25 @@ def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice, faults: Faults
         with collected.collect():
             changed |= chain.apply()
     is_utf8 = getattr(root, "encoding", "utf-8") in ("utf-8", "ascii", "us-ascii")
-    as_is = not changed and not collected.mended and is_utf8 and path != URDF_TEXT and path.suffix != ".xacro"
+    collected.add(*chain.missing_efforts(root.assumed, given))
+    as_is = not changed and not collected.mended and is_utf8 and not root.is_made
     adapted = urdf if as_is or collected.found else read_urdf(path, root, faults=collected)
-    check_inertias(collected, adapted)
+    repaired = check_inertias(collected, adapted, repairs=choice.repairs_inertia)
     check_moving_joints(collected, adapted)
     collected.check()
-    if as_is:
+    if as_is and not repaired:
         return AdaptedUrdf(urdf, None, frozenset(), {}, tool_frame=choice.tool_frame)
     text = ET.tostring(root, encoding="unicode")
     mended = tuple(collected.mended)
-    return AdaptedUrdf(adapted, text, frozenset(chain.continuous), chain.held, missing, mended, chain.tool_frame)
+    adapted = read_urdf(path, root) if repaired else adapted
+    assumed = (*chain.assumed_velocities(root.assumed, given), *repaired)
+    return AdaptedUrdf(
+        adapted, text, frozenset(chain.continuous), chain.held, missing, mended, chain.tool_frame, assumed
+    )
 
 
-def _write_limits(root: ET.Element, file: Path | None) -> bool:
-    """Write a limits file's limits into the joints; True if any.
+def _write_limits(root: ET.Element, file: Path | None) -> dict[str, dict[str, float]]:
+    """Write a limits file's limits into the joints, and return them by joint.
 
     Velocities, efforts and positions.
 
@@ -148,7 +166,7 @@ def _write_limits(root: ET.Element, file: Path | None) -> bool:
         RobotFileError: The limits file is missing or malformed, or names a joint that the URDF lacks.
     """
     if file is None:
-        return False
+        return {}
     joints = {str(joint.get("name")): joint for joint in root.findall("joint") if joint.get("type") != "fixed"}
     found = limits_in_place(file, joints)
     for name, limits in found.items():
@@ -157,7 +175,7 @@ def _write_limits(root: ET.Element, file: Path | None) -> bool:
             element = ET.SubElement(joints[name], "limit")
         for quantity, value in limits.items():
             element.set(quantity, repr(value))
-    return bool(found)
+    return found
 
 
 class _Adaptation:
@@ -168,12 +186,69 @@ class _Adaptation:
         self._path = faults.path
         self._robot = robot
         self._urdf = urdf
-        self._choice = choice
         self._hold = dict(choice.hold or {})
+        self._choice = choice if choice.group is None else self._of_group(choice, choice.group)
         self._carrying = {joint.child: joint for joint in urdf.joints.values()}
-        self.tool_frame = choice.tool_frame
+        self.tool_frame = self._choice.tool_frame
         self.continuous: list[str] = []
         self.held: dict[str, float | None] = {}
+        self.moving: set[str] = set()
+
+    def _of_group(self, choice: RobotChoice, group: RobotGroup) -> RobotChoice:
+        """Return the choice with the joints and the tip of a group; a named tool frame has priority.
+
+        Raises:
+            RobotFileError: The group names a link or joint that the URDF lacks.
+        """
+        joints, links = self._urdf.joints, self._urdf.links
+        for name in filter(None, (group.base, group.tip)):
+            if name not in links:
+                raise RobotFileError(self._path, f"the SRDF's group names link {name!r}: {nearest_name(name, links)}")
+        for name in group.joints:
+            if name not in joints:
+                raise RobotFileError(self._path, f"the SRDF's group names joint {name!r}: {nearest_name(name, joints)}")
+        carrying = {joint.child: joint for joint in joints.values()}
+        tip = group.tip or (joints[group.joints[-1]].child if group.joints else None)
+        frame = tip if tip is not None and choice.guesses_tool else choice.tool_frame
+        names, link = list(group.joints), tip
+        while not group.joints and link is not None and link in carrying and link != group.base:
+            names.insert(0, carrying[link].name)
+            link = carrying[link].parent
+        moving = tuple(
+            name
+            for name in names
+            if joints[name].kind != "fixed" and joints[name].element.find("mimic") is None and name not in self._hold
+        )
+        return replace(choice, joints=moving, tool_frame=frame)
+
+    def missing_efforts(
+        self, assumed: Mapping[str, Collection[str]], given: Mapping[str, Collection[str]]
+    ) -> list[str]:
+        """Faults of moving joints whose effort nothing gives."""
+        missing = self._left("effort", assumed, given)
+        return [f"joint {name!r}: no actuator gives its effort{LIMIT_ADVICE}" for name in missing]
+
+    def assumed_velocities(
+        self, assumed: Mapping[str, Collection[str]], given: Mapping[str, Collection[str]]
+    ) -> tuple[str, ...]:
+        """The velocity limits of moving joints that nothing gives, in words."""
+        speeds: dict[float, list[str]] = {}
+        for name in self._left("velocity", assumed, given):
+            speeds.setdefault(self._urdf.joints[name].limits["velocity"], []).append(name)
+        return tuple(
+            f"velocity limits assumed: {speed:g} per second for {', '.join(names)}; nothing gives them{LIMIT_ADVICE}"
+            for speed, names in speeds.items()
+        )
+
+    def _left(
+        self, quantity: str, assumed: Mapping[str, Collection[str]], given: Mapping[str, Collection[str]]
+    ) -> list[str]:
+        """Moving joints with an assumed quantity, in the file's order."""
+        return [
+            name
+            for name, quantities in assumed.items()
+            if name in self.moving and quantity in quantities and quantity not in given.get(name, ())
+        ]
 
     def apply(self) -> bool:
         """Change the elements; returns True if there was anything to change."""
@@ -186,7 +261,13 @@ class _Adaptation:
         above = {joint.name for joint in mount}
         chain = [joint for joint in self._up_from(tip)[::-1] if joint.name not in above]
         values = self._values()
-        moving = self._moving_joints(chain)
+        moving = self.moving = self._moving_joints(chain)
+        self._hold |= {
+            name: value
+            for name, value in (self._choice.state or {}).items()
+            if name not in moving and name not in self._hold and self._leader(name) == name
+        }
+        values = self._values() if self._choice.state else values
         for joint in self._urdf.joints.values():
             if joint.kind == "fixed" or joint.name in above:
                 continue

@@ -41,8 +41,8 @@ _ATTRIBUTES: Final[Mapping[str, frozenset[str]]] = {
     "child": frozenset({"link"}),
     "axis": frozenset({"xyz"}),
     "limit": frozenset({"lower", "upper", "velocity", "effort", "acceleration", "jerk"}),
-    # The last four are Franka's.
-    "dynamics": frozenset({"damping", "friction", "D", "K", "mu_coulomb", "mu_viscous"}),
+    # The rotor inertia `armature` is written for MJCF, the last four are Franka's.
+    "dynamics": frozenset({"damping", "friction", "armature", "D", "K", "mu_coulomb", "mu_viscous"}),
     "mimic": frozenset({"joint", "multiplier", "offset"}),
     "safety_controller": frozenset({"soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"}),
     "calibration": frozenset({"rising", "falling", "reference_position"}),
@@ -134,6 +134,7 @@ class Joint:
         child: Name of the link that it moves.
         placement: Placement in the parent link's frame.
         axis: (3,) axis as in the file, not normalized.
+        armature: Rotor inertia [kg m^2, kg].
         limits: `lower`, `upper`, `velocity`, `effort`, and from URDF 1.2 `acceleration` and `jerk`, as far as the file
             has them [rad, m, s, N, N m].
     """
@@ -145,6 +146,7 @@ class Joint:
     child: str
     placement: pin.SE3
     axis: FloatArray
+    armature: float
     limits: Mapping[str, float]
 
 
@@ -195,7 +197,7 @@ def read_urdf(path: Path, root: ET.Element, *, any_robot: bool = False, faults: 
     return Urdf(links, {name: joint for name, joint in joints.items() if joint is not None})
 
 
-def check_inertias(faults: Faults, urdf: Urdf) -> None:
+def check_inertias(faults: Faults, urdf: Urdf, *, repairs: bool = False) -> tuple[str, ...]:
     """Find inertias of moving links that no body has.
 
     One that is slightly off is a harmless fault: it counts as the file has it. Inertias of other links have no effect.
@@ -203,7 +205,13 @@ def check_inertias(faults: Faults, urdf: Urdf) -> None:
     Args:
         faults: Collector of the faults: a principal moment is negative, or larger than the sum of the others.
         urdf: The content of the file.
+        repairs: Whether the elements of larger faults are mended: the smaller moments are raised, which never makes
+            the load of a joint smaller.
+
+    Returns:
+        What was mended, one sentence for each link.
     """
+    repaired: list[str] = []
     # Tolerances as a fraction of the maximum principal moment: CAD programs round, and vendors' files are off by 14 %.
     rounded, slight = 1e-3, 0.15
     # Moments below this need no torque worth counting: 0.1 mN m at 100 rad/s^2 [kg m^2].
@@ -228,12 +236,17 @@ def check_inertias(faults: Faults, urdf: Urdf) -> None:
             faults.mend(f"{reason}: the smaller moments were raised")
         elif excess <= max(slight * largest, tiny):
             faults.mend(f"{reason}; they count as they are")
+        elif repairs:
+            raised = _write_inertia(element, axes, moments)
+            words = ", ".join(f"{moment:.6g}" for moment in raised)
+            repaired.append(f"{reason}; the smaller ones were raised to {words} (repair_inertia)")
         else:
-            faults.add(reason)
+            faults.add(f"{reason}; repair_inertia=True (--repair-inertia) raises the smaller ones")
+    return tuple(repaired)
 
 
-def _write_inertia(element: ET.Element, axes: FloatArray, moments: FloatArray) -> None:
-    """Write the inertia of a body with moments near given ones.
+def _write_inertia(element: ET.Element, axes: FloatArray, moments: FloatArray) -> list[float]:
+    """Write and return the moments of a body near given ones.
 
     The given moments ascend.
     """
@@ -242,6 +255,8 @@ def _write_inertia(element: ET.Element, axes: FloatArray, moments: FloatArray) -
     inertia = axes @ np.diag(raised) @ axes.T
     for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"):
         element.set(key, repr(float(inertia["xyz".index(key[1]), "xyz".index(key[2])])))
+    found: list[float] = raised.tolist()
+    return found
 
 
 def check_moving_joints(faults: Faults, urdf: Urdf) -> None:
@@ -341,7 +356,9 @@ class _Reader:
                 axis = readonly(self._numbers(given_axis, "xyz", where, 3))
         if not self._has_readable_mimic(element, where) or kind not in kinds or parent is None or child is None:
             return None
-        return Joint(element, name, kind, parent, child, placement, axis, limits)
+        dynamics = element.find("dynamics")
+        armature = 0.0 if dynamics is None else float(dynamics.get("armature", "0"))
+        return Joint(element, name, kind, parent, child, placement, axis, armature, limits)
 
     def _end(self, joint: ET.Element, end: str, links: Mapping[str, Link], where: str) -> str:
         """Link at the `parent` or `child` end of a joint."""

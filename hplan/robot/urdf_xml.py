@@ -13,19 +13,10 @@ from hplan.base.data_files import robot_names, shipped_robots
 from hplan.base.files import ByteBudget
 from hplan.base.lazy_import import extra
 from hplan.errors import RobotFileError
+from hplan.robot.xml_element import Element
 
 #: Maximum size of a URDF [bytes].
 _MOST_URDF_BYTES: Final = 16_000_000
-
-
-class Element(ET.Element):
-    """XML element with its line number (0 if not from a file).
-
-    The root has the encoding that the file declares.
-    """
-
-    line = 0
-    encoding = "utf-8"
 
 
 #: Path of a URDF that is given as text.
@@ -37,10 +28,11 @@ def read_urdf_xml(
     text: str | None = None,
     package_dirs: Sequence[Path] = (),
     xacro_args: Mapping[str, str] | None = None,
-) -> ET.Element:
+) -> Element:
     """Read a URDF's XML and return its root element.
 
-    All elements are `Element`; the content is not checked further.
+    All elements are `Element`; the content is not checked further. A MuJoCo model is read as a URDF
+    (`hplan.robot.mjcf`).
 
     Args:
         path: The file; xacro expands it first if it ends in `.xacro`.
@@ -50,8 +42,9 @@ def read_urdf_xml(
 
     Raises:
         RobotFileError: The file is missing, unreadable, too large, malformed XML, has a document type, or its root is
-            not `<robot>`; xacro needs an argument or a package that is missing, or arguments are given without xacro.
-        InputError: The file is xacro, and `xacrodoc` is not installed.
+            not `<robot>` or `<mujoco>`; MuJoCo refuses its model; xacro needs an argument or a package that is missing,
+            or arguments are given without xacro.
+        InputError: The file is xacro, and `xacrodoc` is not installed, or MJCF without `mujoco`.
     """
     if xacro_args and (text is not None or path.suffix != ".xacro"):
         raise RobotFileError(path, f"it is not xacro, and takes no arguments such as {next(iter(xacro_args))!r}")
@@ -62,8 +55,13 @@ def read_urdf_xml(
     if len(content) > _MOST_URDF_BYTES:
         raise RobotFileError(path, f"it has more than {_MOST_URDF_BYTES:,} bytes")
     root = _parse(path, content)
+    if root.tag == "mujoco":
+        from hplan.robot.mjcf import urdf_of_mjcf  # loads MuJoCo
+
+        return urdf_of_mjcf(path, text)
     if root.tag != "robot":
-        raise RobotFileError(path, f"the root element is <{root.tag}>, expected <robot>")
+        raise RobotFileError(path, f"the root element is <{root.tag}>, expected <robot>, or <mujoco> of MJCF")
+    root.is_made = text is not None or path.suffix == ".xacro"
     return root
 
 
@@ -170,7 +168,7 @@ def line_of(element: ET.Element) -> str:
     return f"line {line}: " if line else ""
 
 
-def _parse(path: Path, content: bytes) -> ET.Element:
+def _parse(path: Path, content: bytes) -> Element:
     parser = expat.ParserCreate()
     parser.buffer_text = True
     declared = ["utf-16"] if content.startswith((b"\xff\xfe", b"\xfe\xff")) else ["utf-8"]

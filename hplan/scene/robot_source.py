@@ -30,7 +30,7 @@ class RobotSource(StrictModel):
     `load_robot` takes it in place of a path. In a scene file, paths are relative to the file's folder.
 
     Attributes:
-        urdf: URDF or xacro file, or name of a robot.
+        urdf: URDF, xacro or MJCF file, or name of a robot.
         limits: Limits file, or name of a robot; None for the default limits.
         tool_frame: Frame at the end of the arm; None for the default frame.
         tool_tube_m: Length of a picking tube at the tool frame [m]; None for none.
@@ -39,6 +39,9 @@ class RobotSource(StrictModel):
         srdf: SRDF with the pairs of links that may touch.
         allow_neighbours: Whether links with one joint between them may touch.
         collision_from_visual: True, or the names of the links, to build collision shapes from visuals.
+        group: Group of the SRDF with the moving joints; None for all joints up to the tool frame.
+        group_state: Group state of the SRDF with values of held joints; None for none.
+        repair_inertia: Whether inertias that no body has are mended.
         acceleration_scale: Ratio of acceleration to velocity limits, if nothing gives acceleration limits [1/s].
         xacro_args: Values of the arguments of a xacro file.
 
@@ -59,6 +62,9 @@ class RobotSource(StrictModel):
     allow_neighbours: bool = False
     collision_from_visual: bool | tuple[Name, ...] = False
     acceleration_scale: Positive | None = None
+    group: Name | None = None
+    group_state: Name | None = None
+    repair_inertia: bool = False
     xacro_args: Mapping[str, Annotated[str, BeforeValidator(_to_text)]] = {}
 
     def __hash__(self) -> int:
@@ -114,7 +120,7 @@ def _check_name(robot: str | RobotSource | None) -> str | RobotSource | None:
 
 
 def _is_name(text: str) -> bool:
-    return text in robot_names() and not Path(text).is_file()
+    return (text in robot_names() and not Path(text).is_file()) or text.startswith("robot_descriptions:")
 
 
 #: A robot by name, or its file with options; a text that ends like a robot file is its path.

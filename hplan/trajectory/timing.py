@@ -119,6 +119,7 @@ def read_kinematics(
         reason = f"Pinocchio refuses it: {error} (its own messages, if any, are on the terminal)"
         raise RobotFileError(path, reason) from error
     check_models(path, read_urdf(path, root, any_robot=True), model)
+    missing |= {name: list(root.assumed[name]) for name in moving if name in root.assumed}
     for name, attributes in missing.items():
         for attribute in attributes:
             limit = model.velocityLimit if attribute == "velocity" else model.effortLimit

@@ -88,6 +88,17 @@ def test_faults_that_no_motion_depends_on_are_warnings(case):
 def test_inertia_far_off_is_refused(inertia):
     with pytest.raises(RobotFileError, match="larger than the sum of the others"):
         load_robot(of_elbow('ixx="0.02" iyy="0.02" izz="0.01"', inertia))
+    with pytest.warns(RobotFileWarning, match="the smaller ones were raised to"):
+        robot = load_robot(of_elbow('ixx="0.02" iyy="0.02" izz="0.01"', inertia), repair_inertia=True)
+    assert len([words for words in robot.assumptions if "repair_inertia" in words]) == 1
+    plain = load_robot(of_elbow('ixx="0.02" iyy="0.02" izz="0.01"', 'ixx="0.02" iyy="0.02" izz="0.02"'))
+    before, after = (
+        np.concatenate([np.linalg.eigvalsh(body.inertia) for body in one.model.inertias]).reshape(-1, 3)
+        for one in (plain, robot)
+    )
+    changed = np.flatnonzero(np.abs(before - after).max(axis=1) > 1e-9)
+    assert len(changed) == 1  # one joint carries the link
+    assert (after[:, 2] <= after[:, 0] + after[:, 1] + 1e-12).all()
 
 
 def test_malformed_dynamics_are_left_out():

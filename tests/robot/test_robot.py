@@ -329,7 +329,7 @@ def test_six_axis_arm_with_offsets_is_not_planar(tmp_path):
     ("text", "message"),
     [
         ("<robot name='a'><link></robot>", "malformed XML: mismatched tag: line 1"),
-        ("<mujoco/>", "the root element is <mujoco>, expected <robot>"),
+        ("<sdf/>", "the root element is <sdf>, expected <robot>"),
         ("<robot name='a'/>", "Pinocchio refuses it"),
     ],
 )

@@ -86,8 +86,8 @@ _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
     ("scene", "scene", "scene file or name of a shipped scene (default: {scene})", {"nargs": "?"}),
     ("out", "--out", "output folder (default: out)", {"type": Path, "default": OUT, "metavar": "DIR"}),
     ("force", "--force", "also replace files that hplan did not write", {"action": "store_true"}),
-    ("robot", "--robot", "URDF file or name of a robot, such as panda or ur5 (default: the scene's robot, else "
-        "harvester)",
+    ("robot", "--robot", "URDF or MJCF file, or name of a robot, such as panda or ur5 (default: the scene's robot, "
+        "else harvester)",
         {"type": Path, "metavar": "URDF"}),
     ("robot", "--limits", "limits file, or name of a robot whose limits ship with hplan (default: "
         "NAME.limits.yaml next to the URDF)", {"type": Path, "metavar": "YAML"}),
@@ -101,6 +101,11 @@ _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
         "tool frame", {"dest": "tool_tube_m", "type": float, "metavar": "M"}),
     ("parts", "--srdf", "SRDF file with the pairs of links that may touch",
         {"type": Path, "metavar": "FILE"}),
+    ("parts", "--group", "group of the SRDF with the moving joints (default: all up to the tool frame)",
+        {"metavar": "NAME"}),
+    ("parts", "--group-state", "group state of the SRDF that held joints have", {"metavar": "NAME"}),
+    ("parts", "--repair-inertia", "go on with inertias that no body has, with the smaller principal moments raised",
+        {"action": "store_true"}),
     ("parts", "--allow-neighbours", "let links touch that have one joint between them", {"action": "store_true"}),
     ("parts", "--package-dir", "folder that is searched first for packages and meshes; may be repeated",
         {"action": "append", "type": Path, "default": [], "metavar": "DIR"}),
@@ -383,6 +388,9 @@ def robot_options(arguments: argparse.Namespace) -> dict[str, Any]:
         "collision_from_visual": from_visual(arguments),
         "xacro_args": xacro_arguments(arguments),
         "acceleration_scale": arguments.acceleration_scale,
+        "group": arguments.group,
+        "group_state": arguments.group_state,
+        "repair_inertia": arguments.repair_inertia,
     }
 
 

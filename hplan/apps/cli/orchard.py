@@ -53,7 +53,7 @@ _MEASURED = ("turn",)
 #: Destinations of the options of the robot.
 _ROBOT = (
     *("robot", "limits", "hold", "tool_frame", "tool_tube_m", "srdf", "allow_neighbours", "package_dir", "xacro"),
-    *("acceleration_scale", "collision_from_visual"),
+    *("acceleration_scale", "collision_from_visual", "group", "group_state", "repair_inertia"),
 )
 
 

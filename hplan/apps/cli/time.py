@@ -44,7 +44,7 @@ DEFAULT_CSV = Path("timed.csv")
 _WITH_SCENE = (
     *("keep_path", "effort", "seed", "sigmas", "tracking_error", "tracking_error_m", "tracking_delay", "deadline_ms"),
     *("poses", "free", "tilt", "tool_frame", "srdf", "allow_neighbours", "package_dir", "xacro"),
-    *("collision_from_visual", "acceleration_scale", "tool_tube_m"),
+    *("collision_from_visual", "acceleration_scale", "tool_tube_m", "group", "group_state", "repair_inertia"),
 )
 _WITHOUT_SCENE = ("acceleration", "no_torque", "joints")
 

@@ -114,7 +114,11 @@ def mujoco_model(
         # only and obstacles a conaffinity only, so contacts are between the arm and obstacles.
         meets = _PUSHES if geom.parent.name in pushing else _FIRM
         geom.contype, geom.conaffinity = meets if geom.contype or geom.conaffinity else 0, 0
-    for name, limit in zip(robot.joint_names, robot.torque_limit.tolist(), strict=True):
+    # Links between two joints of one MJCF body have no mass, which MuJoCo does not compile.
+    spec.compiler.boundmass, spec.compiler.boundinertia = 1e-12, 1e-14
+    rotors = np.array(robot.model.armature).tolist()
+    for name, limit, rotor in zip(robot.joint_names, robot.torque_limit.tolist(), rotors, strict=True):
+        spec.joint(name).armature = rotor
         motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)  # a motor, of gain 1
         motor.ctrllimited, motor.ctrlrange = True, [-limit, limit]
     names = {}

@@ -27,6 +27,9 @@ from hplan.trajectory.speed_profile import SpeedProfile
 #: Obstacles farther than this from a path are left out of the programs that move it [m].
 NEAR_PATH_M = 0.4
 
+#: The first path is preferred unless another path's smooth motion, and coarsely optimized motion, are faster by more
+#: than these fractions.
+_PREFERRED_SMOOTH, _PREFERRED_ROUGH = 0.03, 0.01
 
 #: Pairs of the arm's own bodies are left out of programs if they do not touch within this joint displacement of the
 #: motion [rad]: about the maximum change in one step.
@@ -68,8 +71,7 @@ def optimization_starts(paths: Sequence[FloatArray], problem: TimeProblem) -> li
                 along = profile.positions(PARTS * profile.duration)
                 near = near.without_idle_pairs(along, problem.options.movable, NEAR_PATH_M, _FARTHEST_TURN)
                 found.append(OptimizationStart(number, replace(problem, near=near), profile))
-    # The first path is preferred unless another path's smooth motion is faster by more than this fraction.
-    times = [start.profile.duration * (1.0 - 0.03 * (start.number == 0)) for start in found]
+    times = [start.profile.duration * (1.0 - _PREFERRED_SMOOTH * (start.number == 0)) for start in found]
     return [found[k] for k in ties.argsort(times).tolist()]
 
 
@@ -89,7 +91,10 @@ def fastest_motions(
     left_to_gain, among_rough = 0.1, 0.05
     if len(several) > 1 or math.isfinite(quicker_than_s):
         chosen = [(start, rough_motion(start.profile, start.problem, effort)) for start in several]
-        times = [math.inf if rough is None else rough.duration for _, rough in chosen]
+        times = [
+            math.inf if rough is None else rough.duration * (1.0 - _PREFERRED_ROUGH * (start.number == 0))
+            for start, rough in chosen
+        ]
         enough = min(quicker_than_s / (1.0 - left_to_gain), min(times, default=math.inf) / (1.0 - among_rough))
         best = ties.argsort(times)[: effort.finished]
         chosen = [chosen[k] for k in best.tolist() if times[k] <= enough]

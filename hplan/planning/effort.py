@@ -24,7 +24,7 @@ class Effort:
         begun: Optimization of a motion that begins in motion.
         pose_goals: Maximum number of configurations at a pose that serve as goals, the nearest first.
         compared: Number of goals whose motions by trees are compared; with 1 the first motion found is taken.
-        long_pairs: Number of pairs of longer trees before a goal is refused; 0 for none.
+        long_pairs: Number of pairs of longer trees before a goal is refused, for up to seven joints; 0 for none.
         long_queries: Maximum number of distance queries of each of them.
         long_seed: Seed of the first of them, relative to `seed`. With the same seeds trees grow on.
         long_stops_early: True if long trees stop once a motion within `FAR_FROM_BOUND` of the lower bound is found.

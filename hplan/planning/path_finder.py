@@ -35,6 +35,12 @@ OF_A_CLASS = 3
 #: Minimum number of distance queries of a second pair of long trees.
 _SHORT = 8_000
 
+#: Fraction of their budget that all long trees use before any of them uses more.
+_EARLY = 3
+
+#: Number of joints beyond which each more multiplies the pairs of long trees by the factor.
+_FEW_JOINTS, _PAIRS_PER_JOINT = 7, 4
+
 #: Number of goals that trees search one by one before they search all goals together.
 _ONE_BY_ONE = 2
 
@@ -187,20 +193,26 @@ class LongTrees(PathFinder):
         If the trees grow for one goal after the other, yield a group for each goal after all pairs have grown.
         """
         found: dict[int, list[Path]] = {}
-        seeds, each = long_trees(problem)
-        for seed in seeds:
-            path, evaluations = tree_to_any(problem, each, seed, self.pairs)
-            if path is None:
-                continue
-            found.setdefault(path.goal, []).append(path)
-            if not problem.effort.long_stops_early:
-                continue
-            yield (path,)
-            if self.error is None and math.isfinite(self.best_s):
-                if self.best_s <= FAR_FROM_BOUND * problem.with_goals(path.goal).least_duration:
+        seeds, queries = long_trees(problem)
+        left, most, grown = list(seeds), queries, 0
+        # Most pairs meet soon or take long: all grow to a part of the budget before any uses all of it.
+        for each in (queries // _EARLY, queries):
+            for seed in tuple(left):
+                is_second = math.isfinite(self.best_s)
+                path, evaluations = tree_to_any(problem, min(each, grown + most), seed, self.pairs)
+                if path is not None:
+                    left.remove(seed)
+                    found.setdefault(path.goal, []).append(path)
+                    if problem.effort.long_stops_early:
+                        yield (path,)
+                        if self.error is None and math.isfinite(self.best_s):
+                            bound = problem.with_goals(path.goal).least_duration
+                            # A second pair that takes about as long as this one did.
+                            most = max(_SHORT, 3 * evaluations // 2)
+                            is_second |= self.best_s <= FAR_FROM_BOUND * bound
+                if is_second:
                     return
-                # A second pair that takes about as long as this one did.
-                each = min(each, max(_SHORT, 3 * evaluations // 2))
+            grown = each
         for paths in found.values():
             if math.isfinite(self.best_s) or problem.effort.long_stops_early:
                 return
@@ -322,12 +334,14 @@ def tree_to_any(problem: Problem, evaluations: int, seed: int, pairs: Pairs | No
 def long_trees(problem: Problem) -> tuple[range, int]:
     """Seeds of the trees before a goal is refused, and distance queries of each.
 
-    Half of the queries among point clouds, where one costs up to four times as much.
+    More pairs for arms of many joints. Half of the queries among point clouds, where one costs up to four times as
+    much.
     """
     effort = problem.effort
+    pairs = effort.long_pairs * _PAIRS_PER_JOINT ** max(0, len(problem.movable) - _FEW_JOINTS)
     is_cloudy = any(solid.is_point_set for solid in problem.world.solids)
     first = effort.seed + effort.long_seed
-    return range(first, first + effort.long_pairs), effort.long_queries // 2 if is_cloudy else effort.long_queries
+    return range(first, first + pairs), effort.long_queries // 2 if is_cloudy else effort.long_queries
 
 
 def describe_trees(problem: Problem) -> str:

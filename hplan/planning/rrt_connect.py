@@ -27,21 +27,23 @@ from hplan.planning.upright_paths import upright_chain
 #: Number of samples drawn at a time, and maximum number of nodes of a tree.
 _CHUNK, _MOST_NODES = 500, 20_000
 
-#: Maximum length of an edge, in time at the velocity limits [s].
-EDGE_S = 0.25
+#: Maximum and minimum length of an edge, as displacement of the arm [m].
+EDGE_M, LEAST_M = 1.0, 0.002
 
-#: The same if the tool has to stay upright: straight edges between upright configurations tilt it [s].
-UPRIGHT_EDGE_S = 0.15
+#: The same if the tool has to stay upright, in time at the velocity limits: straight edges between upright
+#: configurations tilt it [s].
+UPRIGHT_EDGE_S, _LEAST_S = 0.15, 0.002
 
-#: Minimum length of an edge [s].
-LEAST_S = 0.002
+#: Minimum weight of a joint, as a fraction of the largest: a roll of the hand displaces nearly nothing.
+_LEAST_WEIGHT = 0.05
 
 #: Maximum number of distance queries along one edge.
 LOOKS = any_int(64)
 
-#: Samples are drawn from the box of start and goal, larger by this on all sides [rad], and around either of them within
-#: 1 rad, half of it, and so on, at this number of scales.
-_ASIDE, _SCALES = 0.6, 7
+#: Of this number of samples one is drawn from the box of start and goal, larger by the margin on all sides [rad], and
+#: one around either of them within 1 rad, half of it, and so on, at a number of scales. More of them lead out of simple
+#: problems sooner, but starve trees whose way leads far around.
+_TURN, _ASIDE, _SCALES = 12, 0.6, 7
 
 #: Maximum distance of a sample beyond start and goals in any joint [rad, m].
 _FAR_SAMPLE = 4.0 * np.pi
@@ -85,20 +87,35 @@ class Pair(NamedTuple):
 Pairs: TypeAlias = dict[tuple[int, float, int, bytes], Pair]
 
 
+class Metric(NamedTuple):
+    """Distances between configurations, and lengths of edges.
+
+    Nearest nodes have the least Euclidean distance of weighted joints. The length of an edge is that of its longest
+    weighted joint.
+
+    Attributes:
+        weight: (dof,) weight of each joint.
+        longest: Maximum length of an edge.
+        shortest: Minimum length of an edge.
+    """
+
+    weight: FloatArray
+    longest: float
+    shortest: float
+
+
 class Surroundings(NamedTuple):
     """Arm and obstacles for the verification of edges.
 
     Attributes:
-        slowness: (dof,) time per unit of each joint at its velocity limit [s/rad].
+        metric: Distances and lengths of edges.
         field: Arm and obstacles.
         margin: Clearance required beyond the scene's own during motions [m].
-        edge_s: Maximum length of an edge, in time at the velocity limits [s].
     """
 
-    slowness: FloatArray
+    metric: Metric
     field: FieldArrays
     margin: float
-    edge_s: float
 
 
 def tree_path(
@@ -111,8 +128,7 @@ def tree_path(
     "Manipulation planning on constraint manifolds"), and the edges between them are verified to keep it.
 
     Args:
-        problem: Start, goals and the joint limits of the motion to the first goal; distances are times at the velocity
-            limits.
+        problem: Start, goals and the joint limits of the motion to the first goal.
         margin: Clearance required beyond the scene's own during motions [m].
         evaluations: Maximum number of distance queries, each of all links at one configuration.
         seed: Seed of the samples.
@@ -126,9 +142,9 @@ def tree_path(
     ends = np.array(problem.goal[None] if goals is None else goals)
     key = seed, margin, id(problem.field), ends.tobytes()
     known = None if pairs is None else pairs.pop(key, None)
-    slowness = 1.0 / problem.robot.velocity_limit
     chain = upright_chain(problem)
-    arm = Surroundings(slowness, problem.field.arrays, margin, EDGE_S if len(chain) == 0 else UPRIGHT_EDGE_S)
+    metric = displacement_metric(problem) if len(chain) == 0 else upright_metric(problem)
+    arm = Surroundings(metric, problem.field.arrays, margin)
     if known is None:
         generator, nothing = np.random.Generator(np.random.PCG64(seed)), np.zeros((0, len(problem.start)))
         looks = np.zeros(2, dtype=np.int64)
@@ -149,21 +165,38 @@ def tree_path(
     return path, evaluations - int(looks[0])
 
 
-def _samples(generator: np.random.Generator, problem: Problem, goals: FloatArray) -> FloatArray:
-    """(_CHUNK, dof) samples of three kinds in turn.
+def displacement_metric(problem: Problem) -> Metric:
+    """Weights by which distances bound the displacement of any point of the arm [m].
 
-    Anywhere; in the box of start and goals; around start or a goal at all scales.
+    Clearance is used up by displacement, whatever time a joint takes: a slow torso is no farther away than a shoulder,
+    and turns of the hand are near.
+    """
+    field = problem.field
+    weight = field.reaches[: len(field.arrays.bodies)].max(axis=0)
+    return Metric(frozen(np.maximum(weight, _LEAST_WEIGHT * weight.max())), EDGE_M, LEAST_M)
+
+
+def upright_metric(problem: Problem) -> Metric:
+    """Weights by which distances are times at the velocity limits [s]: turns of the hand tilt it, too."""
+    return Metric(frozen(1.0 / problem.robot.velocity_limit), UPRIGHT_EDGE_S, _LEAST_S)
+
+
+def _samples(generator: np.random.Generator, problem: Problem, goals: FloatArray) -> FloatArray:
+    """(_CHUNK, dof) samples: anywhere, some near start and goals.
+
+    Of `_TURN` samples one is in the box of start and goals, and one around start or a goal at all scales.
     """
     first, last = np.minimum(problem.start, goals.min(axis=0)), np.maximum(problem.start, goals.max(axis=0))
     lower, upper = np.maximum(problem.lower[0], first - _FAR_SAMPLE), np.minimum(problem.upper[0], last + _FAR_SAMPLE)
     samples: FloatArray = generator.random((_CHUNK, len(lower)))
     low, high = np.maximum(first - _ASIDE, lower), np.minimum(last + _ASIDE, upper)
-    samples[::3] = lower + samples[::3] * (upper - lower)
-    samples[1::3] = low + samples[1::3] * (high - low)
-    chosen = goals[generator.integers(0, len(goals), len(samples[2::3]))]
+    between, around = slice(_TURN // 3, None, _TURN), slice(2 * _TURN // 3, None, _TURN)
+    inside, offset = low + samples[between] * (high - low), 2.0 * samples[around] - 1.0
+    chosen = goals[generator.integers(0, len(goals), len(offset))]
     about = np.where(generator.random((len(chosen), 1)) < 0.5, problem.start, chosen)
     scale = np.ldexp(1.0, -generator.integers(0, _SCALES, (len(chosen), 1)))
-    samples[2::3] = np.clip(about + scale * (2.0 * samples[2::3] - 1.0), lower, upper)
+    samples = lower + samples * (upper - lower)
+    samples[between], samples[around] = inside, np.clip(about + scale * offset, lower, upper)
     return samples
 
 
@@ -200,7 +233,9 @@ def _grow(
         target = tree.points[new]
         here = _nearest_node(towards, target, arm)
         while (
-            here >= 0 and not is_up(arm.field.until) and motion_time(towards.points[here], target, arm.slowness) > 0.0
+            here >= 0
+            and not is_up(arm.field.until)
+            and _edge_length(towards.points[here], target, arm.metric.weight) > 0.0
         ):
             here = _extend(towards, here, target, arm, chain, looks)
         if here >= 0:
@@ -211,15 +246,15 @@ def _grow(
 
 @kernel
 def _nearest_node(tree: Tree, target: FloatArray, arm: Surroundings) -> int:
-    """The node nearest to a target, by Euclidean distance in time.
+    """The node nearest to a target, by the metric.
 
     The first of several with the same distance.
     """
-    nearest, least = 0, np.inf
+    nearest, least, weight = 0, np.inf, arm.metric.weight
     for n in range(tree.size[0]):
         square = 0.0
         for i in range(len(target)):
-            square += ((tree.points[n, i] - target[i]) * arm.slowness[i]) ** 2
+            square += ((tree.points[n, i] - target[i]) * weight[i]) ** 2
         if square < least:
             nearest, least = n, square
     return nearest
@@ -239,16 +274,17 @@ def _extend(
     dof = len(target)
     start = tree.points[node]
     end = np.empty(dof)
-    time = motion_time(start, target, arm.slowness)
-    part = min(1.0, arm.edge_s / time) if time > 0.0 else 1.0
+    weight, shortest = arm.metric.weight, arm.metric.shortest
+    length = _edge_length(start, target, weight)
+    part = min(1.0, arm.metric.longest / length) if length > 0.0 else 1.0
     for i in range(dof):
         end[i] = target[i] if part == 1.0 else start[i] + part * (target[i] - start[i])
-    if len(chain) > 0 and (not solve(chain, end) or motion_time(end, target, arm.slowness) > time * (1.0 - 0.5 * part)):
+    if len(chain) > 0 and (not solve(chain, end) or _edge_length(end, target, weight) > length * (1.0 - 0.5 * part)):
         return -1
-    least = 0.5 * LEAST_S / (part * time) if time > 0.0 else 0.0
+    least = 0.5 * shortest / (part * length) if length > 0.0 else 0.0
     shown, used = shown_part(straight_piece(start, end), arm.field, arm.margin, least, LOOKS)
     looks[0] -= used
-    if shown * part * time < LEAST_S and not (shown == 1.0 and part == 1.0):
+    if shown * part * length < shortest and not (shown == 1.0 and part == 1.0):
         return -1
     new = int(tree.size[0])
     for i in range(dof):
@@ -259,9 +295,9 @@ def _extend(
 
 
 @kernel
-def motion_time(start: FloatArray, end: FloatArray, slowness: FloatArray) -> float:
-    """Minimum duration of the straight motion at the velocity limits [s]."""
-    time = 0.0
+def _edge_length(start: FloatArray, end: FloatArray, weight: FloatArray) -> float:
+    """Length of an edge: that of its longest weighted joint."""
+    length = 0.0
     for k in range(len(start)):
-        time = max(time, abs(end[k] - start[k]) * slowness[k])
-    return time
+        length = max(length, abs(end[k] - start[k]) * weight[k])
+    return length

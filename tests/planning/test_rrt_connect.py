@@ -4,24 +4,23 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from planned import problem_between
-from studies.arms import random_scene
 
 import hplan.planning.path_finder
 from hplan.base.arrays import FloatArray
 from hplan.collision.coal_scene import CoalScene
 from hplan.optimization.shortcut import shorten
 from hplan.optimization.smooth_path import START_SHORTCUTS
-from hplan.planning.path_finder import path_time, tree_paths
-from hplan.planning.plan import plan
+from hplan.planning.path_finder import LongTrees, Path, long_trees, path_time, straight_path, tree_paths
 from hplan.planning.problem import Problem
-from hplan.planning.rrt_connect import EDGE_S, Pairs, tree_path
+from hplan.planning.rrt_connect import EDGE_M, Pairs, displacement_metric, tree_path
 from hplan.planning.world import World
-from hplan.robot.model import Robot, load_robot
-from hplan.scene import Box, Scene, Sphere
+from hplan.robot.model import Robot
+from hplan.scene import Box, Scene
 
 MARGIN = 2e-4
 START, GOAL = np.array([0.0, 1.2, 0.3, 0.3]), np.array([0.0, 0.1, 0.3, 0.3])
@@ -33,8 +32,8 @@ def path_of(problem: Problem, evaluations: int, seed: int = 0) -> FloatArray | N
 
 @pytest.fixture
 def blocked(robot: Robot) -> tuple[Problem, World]:
-    ball = Sphere(name="ball", center=(1.6, 0.0, 1.6), radius=0.25)
-    world = World.build(robot, [ball], clearance=0.005)
+    wall = Box(name="wall", center=(1.6, 0.0, 1.6), size=(1.2, 3.0, 0.3))
+    world = World.build(robot, [wall], clearance=0.005)
     assert not world.field.is_clear(np.stack([START, GOAL]), MARGIN)
     return problem_between(world, START, GOAL), world
 
@@ -50,9 +49,9 @@ def test_path_is_clear_everywhere(robot: Robot, blocked: tuple[Problem, World], 
     assert (path >= problem.lower[0] - 1e-12).all()
     assert (path <= problem.upper[0] + 1e-12).all()
     # An edge is no longer than it may be, and not of no length.
-    times = (np.abs(np.diff(path, axis=0)) / robot.velocity_limit).max(axis=1)
-    assert (times > 0.0).all()
-    assert times.max() <= EDGE_S * (1.0 + 1e-9)
+    lengths = (np.abs(np.diff(path, axis=0)) * displacement_metric(problem).weight).max(axis=1)
+    assert (lengths > 0.0).all()
+    assert lengths.max() <= EDGE_M * (1.0 + 1e-9)
     # coal, which shares no formula with the kernels, agrees at points in between.
     checker = CoalScene(robot, world.solids)
     dense = np.concatenate([np.linspace(a, b, 5) for a, b in itertools.pairwise(path)])
@@ -109,13 +108,42 @@ def test_of_several_each_pair_is_one_that_grows_alone(robot: Robot, blocked: tup
     assert all(any(np.array_equal(path.waypoints, other) for other in alone) for path in paths)
 
 
-def test_second_pair_finds_a_better_side_where_the_first_ones_motion_lasts_long(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(("times_bound", "seconds"), [(None, 2), (1.0, 0), (2.0, 1)])
+def test_long_trees_grow_in_turn_until_a_motion_is_near_its_bound(
+    blocked: tuple[Problem, World], monkeypatch: pytest.MonkeyPatch, times_bound: float | None, seconds: int
 ) -> None:
-    arm = load_robot("ur5")
-    scene = random_scene(arm, 1, 67)
-    found = plan(arm, scene)
-    monkeypatch.setattr(hplan.planning.path_finder, "FAR_FROM_BOUND", math.inf)
-    alone = plan(arm, scene)
-    assert found.certificate.verified
-    assert found.trajectory.duration < 0.8 * alone.trajectory.duration
+    """The second pair's trees meet; a slow motion lets one more pair grow, for about as long."""
+    problem, asked = blocked[0], list[tuple[int, int]]()
+    problem = replace(problem, effort=replace(problem.effort, long_stops_early=True))
+
+    def grow(_: Problem, queries: int, seed: int, __: Pairs) -> tuple[Path | None, int]:
+        asked.append((seed, queries))
+        return (None if times_bound is None or seed == 0 else straight_path(problem)), 9_000
+
+    monkeypatch.setattr(hplan.planning.path_finder, "tree_to_any", grow)
+    (first, *_), queries = long_trees(problem)
+    finder = LongTrees()
+    finder.durations = np.array([math.inf])
+    for _ in finder.paths(problem):
+        assert times_bound is not None
+        finder.durations[0] = times_bound * problem.least_duration
+    early = queries // 3
+    again = [queries, queries] if times_bound is None else [early + 13_500]
+    later = [(first + number, budget) for number, budget in enumerate(again)][:seconds]
+    assert asked == [(first, early), (first + 1, early), *later]
+
+
+def test_more_joints_have_more_pairs(blocked: tuple[Problem, World]) -> None:
+    problem = blocked[0]
+    seeds = [len(long_trees(replace(problem, movable=np.arange(joints)))[0]) for joints in (6, 7, 8)]
+    assert seeds[0] == seeds[1] < seeds[2]
+
+
+def test_displacement_metric_bounds_the_motion_of_the_tool(blocked: tuple[Problem, World], robot: Robot) -> None:
+    metric = displacement_metric(blocked[0])
+    rng = np.random.default_rng(0)
+    q = rng.uniform(robot.lower, robot.upper, (200, robot.dof))
+    moved = q + rng.uniform(-0.1, 0.1, q.shape)
+    shift = np.linalg.norm(robot.tool_positions(q) - robot.tool_positions(moved), axis=1)
+    assert (shift <= np.abs(moved - q) @ metric.weight + 1e-9).all()
+    assert (metric.weight >= 0.05 * metric.weight.max()).all()

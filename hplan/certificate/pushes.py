@@ -14,9 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray, IntArray
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, TableArray
+from hplan.base.kernels import kernel
 from hplan.certificate.clearance_proof import Advancement, point_at
+from hplan.collision.coal_boxes import box_separation, joints_as_pinocchio
 from hplan.collision.coal_scene import CoalScene
+from hplan.collision.compiled_placements import place_joints
 from hplan.scene.obstacle_kind import ContactLimit
 
 
@@ -111,46 +114,111 @@ def pushes_along(
     if not len(pairs):
         return
     search, rows = Advancement(bezier, checker, deviations, clearance, clock), len(bezier)
-    (sway, travel), mover_of = search.movers, search.mover_of
-    allowed = -np.broadcast_to(checker.required_distance(clearance), len(checker.pairs))
-    most = allowed if proved else np.full(len(checker.pairs), math.inf)
-    before = np.full(len(checker.pairs), math.inf)
-    due: dict[int, list[IntArray]] = {0: [pairs]}
-    for row in range(rows + 1):
-        if row not in due:
+    (sway, travel), mover_of = search.movers, search.mover_of[pairs]
+    boxes, sides = checker.boxes
+    nearer = np.broadcast_to(sway, travel.shape)
+    asked, may_touch = _possible_contacts(
+        bezier, sides[pairs], boxes, joints_as_pinocchio(checker.robot), checker.taken_off[pairs], mover_of,
+        _Movers(travel, np.ascontiguousarray(nearer)),
+    )  # fmt: skip
+    distances = np.full((rows + 1, len(pairs)), math.inf)
+    free_until = np.zeros(len(pairs), dtype=np.int64)
+    for row in np.flatnonzero(asked.any(axis=1)).tolist():
+        near = np.flatnonzero(asked[row] & (free_until <= row))
+        if not len(near):
             continue
-        asked = np.sort(np.concatenate(due.pop(row)))
         search.place(point_at(bezier, float(row)), float(row))
-        distances, movers = checker.distances_of(asked) - checker.distance_errors[asked], mover_of[asked]
-        last = max(row - 1, 0)
-        travelled = (travel[:, row] - travel[:, last])[movers]
-        nearer = np.maximum(sway[:, row], sway[:, last])[movers]
-        depths = nearer - 0.5 * (before[asked] + distances - travelled)
-        for number in np.flatnonzero(depths > 0.0).tolist():
-            pair, depth = int(asked[number]), min(float(depths[number]), float(most[asked[number]]))
-            mover_name, other = checker.mover_names[checker.pairs[pair][0]], checker.pairs[pair][1]
-            span = float(time[last]), float(time[row])
-            found = Push(mover_name, checker.obstacle_names[other], depth, *span)
-            limit = checker.contact_limits[other]
-            if limit is not None and limit.depth > 0.0:
-                moved = float(travelled[number] + nearer[number])
-                speed = min(moved / max(span[1] - span[0], _TINY_S), limit.rate * depth)
-                load = Load(limit, checker.joint_of(pair), depth / limit.depth, speed)
-                stress = 1e-6 * (load.stress + load.impact_stress)
-                found = replace(found, force_n=load.force, stress_mpa=stress, load=load)
-            yield found
-        following = np.full(len(asked), rows + 1)
-        for mover in np.unique(movers).tolist():
-            own = movers == mover
-            reached = travel[mover, row] + np.maximum(distances[own] - nearer[own], 0.0)
-            following[own] = np.searchsorted(travel[mover], reached, side="right") - 1
-        following = np.where(following >= rows, rows + 1, np.maximum(following, row + 1))
-        # A pair that skips samples cannot touch before its next query, so its last distance counts as infinite.
-        before[asked] = np.where(following == row + 1, distances, math.inf)
-        order = np.argsort(following, kind="stable")
-        starts = np.flatnonzero(np.diff(following[order], prepend=-1))
-        for place, part in zip(following[order][starts].tolist(), np.split(asked[order], starts[1:]), strict=True):
-            due.setdefault(place, []).append(part)
+        distances[row, near] = checker.distances_of(pairs[near]) - checker.distance_errors[pairs[near]]
+        movers = mover_of[near]
+        spare = np.maximum(distances[row, near] - nearer[movers, row], 0.0)
+        far = spare > travel[movers, min(row + 1, rows)] - travel[movers, row]
+        for pair, mover, free in zip(near[far].tolist(), movers[far].tolist(), spare[far].tolist(), strict=True):
+            # A pair that skips samples cannot touch before its next query.
+            free_until[pair] = np.searchsorted(travel[mover], travel[mover, row] + free, side="right") - 1
+    first, which = np.nonzero(may_touch & (distances[:-1] < math.inf) & (distances[1:] < math.inf))
+    movers = mover_of[which]
+    travelled = travel[movers, first + 1] - travel[movers, first]
+    swayed = np.maximum(nearer[movers, first], nearer[movers, first + 1])
+    depths = swayed - 0.5 * (distances[first, which] + distances[first + 1, which] - travelled)
+    if proved:
+        allowed = -np.broadcast_to(checker.required_distance(clearance), len(checker.pairs))
+        depths = np.minimum(depths, allowed[pairs[which]])
+    kept = np.flatnonzero(depths > 0.0)
+    columns = (first, which, depths, travelled + swayed)
+    for row, number, depth, moved in zip(*(column[kept].tolist() for column in columns), strict=True):
+        yield _push_of(checker, int(pairs[number]), depth, moved, (float(time[row]), float(time[row + 1])))
+
+
+def _push_of(checker: CoalScene, pair: int, depth: float, moved: float, span_s: tuple[float, float]) -> Push:
+    """The contact of a pair.
+
+    Args:
+        checker: The arm among the obstacles.
+        pair: Number of the pair.
+        depth: Upper bound of the deflection [m].
+        moved: Upper bound of the link's travel within the time [m].
+        span_s: Begin and end [s].
+    """
+    mover, other = checker.pairs[pair]
+    names, limit = (checker.mover_names[mover], checker.obstacle_names[other]), checker.contact_limits[other]
+    if limit is None or limit.depth <= 0.0:
+        return Push(*names, depth, *span_s)
+    speed = min(moved / max(span_s[1] - span_s[0], _TINY_S), limit.rate * depth)
+    load = Load(limit, checker.joint_of(pair), depth / limit.depth, speed)
+    return Push(*names, depth, *span_s, load.force, 1e-6 * (load.stress + load.impact_stress), load)
+
+
+class _Movers(NamedTuple):
+    """Moving bodies along a motion.
+
+    Attributes:
+        travel: (bodies, rows + 1) travel up to each sample [m].
+        nearer: (bodies, rows + 1) displacement bound by tracking errors at each sample [m].
+    """
+
+    travel: FloatArray
+    nearer: FloatArray
+
+
+@kernel
+def _possible_contacts(
+    bezier: FloatArray, sides: IntArray, boxes: TableArray, joints: TableArray, taken_off: FloatArray,
+    mover_of: IntArray, movers: _Movers,
+) -> tuple[BoolArray, BoolArray]:  # fmt: skip
+    """Segments in which pairs may touch, by the lower bounds of their boxes' distances.
+
+    Args:
+        bezier: (rows, 4, dof) Bezier points of the motion.
+        sides: (k, 2) boxes of the pairs (`hplan.collision.coal_boxes`).
+        boxes: The boxes.
+        joints: Joints from `joints_as_pinocchio`.
+        taken_off: (k,) offsets subtracted from distances [m].
+        mover_of: (k,) moving body of each pair.
+        movers: The moving bodies.
+
+    Returns:
+        (rows + 1, k) mask of the pairs whose distance is required at a sample, and (rows, k) mask of the segments in
+        which a pair may touch.
+    """
+    rows, count, dof = bezier.shape[0], len(sides), bezier.shape[2]
+    asked, may_touch = np.zeros((rows + 1, count), dtype=np.bool_), np.zeros((rows, count), dtype=np.bool_)
+    frames, work = np.empty((rows + 1, dof + 1, 12)), np.empty((2, 12))
+    for row in range(rows + 1):
+        place_joints(point_at(bezier, float(row)), joints, frames[row])
+    for i in range(count):
+        travel, nearer = movers.travel[mover_of[i]], movers.nearer[mover_of[i]]
+        row, bound = 0, box_separation(frames[0], boxes, sides[i], work) - taken_off[i]
+        while row < rows:
+            following = row + 1
+            while following < rows and travel[following + 1] - travel[row] <= bound - nearer[row]:
+                following += 1
+            after = box_separation(frames[following], boxes, sides[i], work) - taken_off[i]
+            if following == row + 1:
+                least = 0.5 * (bound + after - (travel[following] - travel[row]))
+                if least <= max(nearer[row], nearer[following]):
+                    may_touch[row, i] = asked[row, i] = asked[following, i] = True
+            row, bound = following, after
+    return asked, may_touch
 
 
 #: Shortest time in which a speed is measured [s].

@@ -10,8 +10,8 @@ Borne Sound, chapter 4): :math:`Z = k^{1/3} (2 \sqrt 2)^{2/3} (E I)^{1/6} (\rho 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any, Final, TypeGuard
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from typing import Any, Final, TypeAlias, TypeGuard, TypeVar
 
 import numpy as np
 
@@ -24,6 +24,8 @@ from hplan.scene.limbs import Limbs
 from hplan.scene.obstacle_kind import ContactLimit, Solid
 from hplan.scene.obstacles import Capsule, Obstacle, Sphere
 from hplan.scene.wood import DAMPING_RATIO, GRAVITY, IMPACT_FACTOR, MOST_SWING, Wood, limits_by_segment
+
+_T = TypeVar("_T")
 
 #: Number of scenes whose limbs are kept.
 _KEPT: Final = 8
@@ -43,27 +45,35 @@ def contact_solids(
         fruits: All fruits.
         wood: Limits and properties.
     """
-    items = (*obstacles, *fruits)
-    key = tuple(map(id, items)), len(fruits), wood
-    known = _KNOWN.get(key)
-    if known is None:
-        known = items, _contact_solids(obstacles, fruits, wood)
-        _KNOWN[key] = known
-        while len(_KNOWN) > _KEPT:
-            _KNOWN.pop(next(iter(_KNOWN)), None)
-    return known[1]
+    key = len(fruits), wood
+    return _kept(_KNOWN_SOLIDS, (*obstacles, *fruits), key, lambda: _contact_solids(obstacles, fruits, wood))
 
 
 #: Parts are copies of this capsule: a checked one takes ten times as long.
 _TEMPLATE: Final = Capsule(name="part", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, 1.0), radius=1.0)
 
-#: Kept results of `contact_solids`; they hold obstacles and fruits, so that no id is used for another object.
-_KNOWN: Final[dict[tuple[tuple[int, ...], int, Wood], tuple[Any, Mapping[str, tuple[Solid, ...]]]]] = {}
+#: Kept results by the identities of obstacles and fruits; they hold these, so that no id is used for another object.
+_Kept: TypeAlias = dict[tuple[tuple[int, ...], Hashable], tuple[Any, _T]]
+_KNOWN_SOLIDS: Final[_Kept[Mapping[str, tuple[Solid, ...]]]] = {}
+_KNOWN_LIMBS: Final[_Kept[Limbs]] = {}
+
+
+def _kept(known: _Kept[_T], items: tuple[Any, ...], key: Hashable, make: Callable[[], _T]) -> _T:
+    """The kept result for some items and a key, or a new one."""
+    whole = tuple(map(id, items)), key
+    found = known.get(whole)
+    if found is None:
+        found = known[whole] = items, make()
+        while len(known) > _KEPT:
+            known.pop(next(iter(known)), None)
+    return found[1]
 
 
 def limbs_of(obstacles: Sequence[Obstacle], wood: Wood) -> Limbs:
     """Limbs among the obstacles of a scene; obstacles that move or sway are none."""
-    return Limbs.of([piece for piece in obstacles if _is_still_capsule(piece)], wood.clamp_radius)
+    radius = wood.clamp_radius
+    pieces = tuple(piece for piece in obstacles if _is_still_capsule(piece))
+    return _kept(_KNOWN_LIMBS, pieces, radius, lambda: Limbs.of(pieces, radius))
 
 
 def _is_still_capsule(piece: Any) -> TypeGuard[Capsule]:

@@ -33,7 +33,6 @@ STUDIES = {
     "cspace": "validation.cspace:CSPACE",
     "motions": "validation.motions:MOTIONS",
     "grazing": "validation.grazing:GRAZING",
-    "held": "validation.held:HELD",
     "yielding": "validation.compliance:YIELDING",
     "soak": "validation.soak:SOAK",
     "trees": "trees:TREES",

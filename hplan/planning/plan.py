@@ -21,7 +21,7 @@ from hplan.planning.in_time import past_moving_obstacles
 from hplan.planning.less_force import with_less_force
 from hplan.planning.motion import Motion, Plan, Solver, best_of, motion_limits, seconds
 from hplan.planning.options import PlanOptions
-from hplan.planning.plans import plans_from_rest, with_all_efforts, with_reuse
+from hplan.planning.plans import plans_from_rest, with_reuse
 from hplan.planning.problem import Problem
 from hplan.planning.report import deadline_report
 from hplan.planning.result import PlanResult, bounded_phases
@@ -159,7 +159,7 @@ def solver(before: Motion | None = None, stop: StopMaker | None = None) -> Solve
         before: An earlier motion, kept or repaired if possible.
         stop: Returns a motion to rest from a start in motion, tried before the default ones.
     """
-    solve = with_less_force(with_all_efforts(from_motion(plans_from_rest, stop)))
+    solve = with_less_force(from_motion(plans_from_rest, stop))
     return with_reuse(before, past_moving_obstacles(solve, stop))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -13,6 +15,7 @@ import hplan
 from hplan import PlanOptions, Trajectory
 from hplan.base.arrays import FloatArray
 from hplan.certificate.certificate import Certificate
+from hplan.errors import HplanError
 from hplan.planning import motion
 from hplan.planning.less_force import LONGER
 from hplan.planning.problem import Problem
@@ -20,7 +23,7 @@ from hplan.planning.result import PlanResult
 from hplan.scene import Goal, Scene, load_scene, with_limbs
 
 #: Fruits whose quickest motion pushes limbs.
-PUSHING = ("fruit 03", "fruit 10", "fruit 24")
+PUSHING = ("fruit 16",)
 
 
 @cache
@@ -29,14 +32,15 @@ def robot() -> hplan.Robot:
 
 
 @cache
-def orchard(*, bends: bool) -> Scene:
-    scene = load_scene("orchard-row")
-    return with_limbs(scene) if bends else scene
+def scene_of(name: str, *, bends: bool) -> Scene:
+    scene = with_limbs(load_scene(name))
+    assert scene.wood is not None
+    return scene if bends else scene.with_values(wood=scene.wood.as_rigid)
 
 
 @cache
-def motion_to(fruit: str, *, bends: bool = True, gentle: bool = False) -> PlanResult:
-    scene = orchard(bends=bends).with_values(goal=Goal(fruit=fruit))
+def motion_to(fruit: str, name: str = "dense-canopy", *, bends: bool = True, gentle: bool = False) -> PlanResult:
+    scene = scene_of(name, bends=bends).with_values(goal=Goal(fruit=fruit))
     return hplan.plan(robot(), scene, PlanOptions(gentle=gentle))
 
 
@@ -44,16 +48,21 @@ def largest_force(result: PlanResult) -> float:
     return max((push.force_n or 0.0 for push in result.certificate.pushes or ()), default=0.0)
 
 
-def test_a_motion_that_touches_nothing_is_taken_if_it_is_as_fast() -> None:
-    stiff, bending = motion_to("fruit 07", bends=False), motion_to("fruit 07")
+@pytest.mark.parametrize("fruit", ["fruit 01", "fruit 03", "fruit 07", "fruit 10"])
+def test_a_motion_that_touches_nothing_is_taken_if_it_is_as_fast(fruit: str) -> None:
+    stiff, bending = (motion_to(fruit, "orchard-row", bends=bends) for bends in (False, True))
     assert bending.certificate.verified
     assert largest_force(bending) == 0.0
-    assert bending.trajectory.duration <= 1.01 * stiff.trajectory.duration
+    assert bending.trajectory.duration <= stiff.trajectory.duration
 
 
-def test_limbs_are_pushed_where_that_is_faster() -> None:
-    forces = {fruit: largest_force(motion_to(fruit)) for fruit in PUSHING}
-    assert any(0.0 < force <= 10.0 for force in forces.values())
+def test_limbs_are_pushed_where_no_other_motion_is_as_fast() -> None:
+    for fruit in PUSHING:
+        bending, stiff_s = motion_to(fruit), math.inf
+        with suppress(HplanError):
+            stiff_s = motion_to(fruit, bends=False).trajectory.duration
+        assert bending.trajectory.duration < stiff_s
+        assert 0.0 < largest_force(bending) <= 10.0
 
 
 def test_gentle_motions_take_little_longer_and_push_less() -> None:
@@ -67,7 +76,7 @@ def test_gentle_motions_take_little_longer_and_push_less() -> None:
 
 @pytest.mark.parametrize(("fraction", "slowed"), [(0.5, 2), (0.25, 1), (0.1, 0)])
 def test_motions_are_not_slowed_down_without_end(fraction: float, slowed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = orchard(bends=True).with_values(goal=Goal(fruit=PUSHING[0]))
+    scene = scene_of("dense-canopy", bends=True).with_values(goal=Goal(fruit=PUSHING[0]))
     problem, plan = Problem.from_scene(robot(), scene, PlanOptions()), motion_to(PUSHING[0])
     refused, tried = replace(plan.certificate, verified=False), list[float]()
 

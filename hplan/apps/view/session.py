@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from hplan.base.arguments import file_path, instance, nearest_name
 from hplan.base.arrays import FloatArray, numbers
 from hplan.collision.coal_scene import CoalScene, Contact
-from hplan.collision.held_objects import holding
 from hplan.errors import InputError, OutputError
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
@@ -56,8 +55,7 @@ class Session:
             OptionError: An argument has another type.
         """
         instance("robot", robot, Robot, "load_robot")
-        robot = holding(robot, instance("scene", scene, Scene).attached)
-        self.robot, start = robot.about_start(scene.start)
+        self.robot, start = robot.about_start(instance("scene", scene, Scene).start)
         self.q: FloatArray = start
         self.scene = scene.snapshot(0.0) if scene.moves else scene
         self.result: PlanResult | None = None

@@ -137,12 +137,9 @@ def obstacle_of(item: Item) -> Any:
     return _MODEL.validate_json(json.dumps(item))
 
 
-def draw_obstacle(
-    rng: np.random.Generator, name: str, kind: str, place: Callable[[float], FloatArray],
-    sizes_m: tuple[float, float] = SIZES_M,
-) -> Item:  # fmt: skip
+def draw_obstacle(rng: np.random.Generator, name: str, kind: str, place: Callable[[float], FloatArray]) -> Item:
     """An obstacle of a kind and a random size; `place` maps the size to a position [m]."""
-    size = log_uniform(rng, *sizes_m)
+    size = log_uniform(rng, *SIZES_M)
     item: Item = {"name": name, "kind": kind}
     turn = rng.uniform(-180.0, 180.0, 3).tolist()
     if kind == "sphere":

@@ -40,6 +40,10 @@ FIND_S, FILL_RAD, RATE_HZ = {"RRTConnect": 2.0, "BITstar": 0.3}, 0.1, 100.0
 SPARE_M, AROUND_S = 1e-3, 0.02
 
 
+#: Time limit of a verdict [s]: far more than it takes on a busy machine, so that the rows do not depend on it.
+DECIDED_S = 60.0
+
+
 def _problems(config: StudyConfig) -> Iterable[tuple[str, int, str]]:
     """Robot, number of the scene, and planner; roboplan takes no clouds."""
     found = itertools.product(config.numbers, ROBOTS, PLANNERS)
@@ -127,7 +131,7 @@ def _row(config: StudyConfig, problem: tuple[str, int, str]) -> Row:
     if motion is None:
         return row
     message = _message(robot, motion)
-    verdict = Judge(robot, scene, JudgeOptions(limits=(), moving_ends=True)).judge(message)
+    verdict = Judge(robot, scene, JudgeOptions(limits=(), moving_ends=True, deadline_s=DECIDED_S)).judge(message)
     controlled = from_joint_trajectory(message, robot=robot)
     ticks = np.append(np.arange(0.0, controlled.duration, TICK_S), controlled.duration)
     found = _found(robot, scene, _sampled(robot, controlled, ticks))

@@ -45,6 +45,7 @@ STUDIES = {
     "others": "others:OTHERS",
     "upright": "upright:STUDY",
     "franka": "franka:FRANKA",
+    "retargets": "retargets:RETARGETS",
     "cells": "cells:CELLS",
     "cell_trees": "cell_trees:CELL_TREES",
     "wood_static": "wood:WOOD_STATIC",

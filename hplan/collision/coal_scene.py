@@ -352,12 +352,16 @@ class CoalScene:
 
     @property
     def near_solids(self) -> tuple[tuple[int, int, float], ...]:
-        """Number of the obstacle, joint, and required distance [m] of each pair that is too near at the start."""
+        """Number of the obstacle, joint, and required distance [m] of the pairs that are too near at the start.
+
+        Of several links on one joint, the smallest distance counts.
+        """
         required = np.broadcast_to(self.required_distance(self.clearance), len(self.pairs))
-        return tuple(
-            (pair % self.own_first, self._mover_shapes[pair // self.own_first].parentJoint - 1, float(required[pair]))
-            for pair in self.near_pairs.tolist()
-        )
+        found: dict[tuple[int, int], float] = {}
+        for pair in self.near_pairs.tolist():
+            key = pair % self.own_first, self._mover_shapes[pair // self.own_first].parentJoint - 1
+            found[key] = min(found.get(key, math.inf), float(required[pair]))
+        return tuple((*key, distance) for key, distance in found.items())
 
     @property
     def meetings(self) -> tuple[list[pin.GeometryObject], tuple[Solid, ...], FloatArray]:

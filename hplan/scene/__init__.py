@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from hplan.scene.fruit import Fruit
     from hplan.scene.model import FORMAT, Goal, Scene, Start, with_limbs
     from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, PointCloud, Sphere
+    from hplan.scene.steps import Step
     from hplan.scene.tracks import Sway, Track
     from hplan.scene.upright import Upright
     from hplan.scene.wood import LimbLimits, Wood
@@ -43,6 +44,7 @@ __all__ = [
     "Scene",
     "Sphere",
     "Start",
+    "Step",
     "Sway",
     "Track",
     "Upright",
@@ -63,6 +65,7 @@ __getattr__ = lazy_names(
         "hplan.scene.fruit": "Fruit",
         "hplan.scene.model": "FORMAT Goal Scene Start with_limbs",
         "hplan.scene.obstacles": "Box Capsule Cylinder Mesh Obstacle PointCloud Sphere",
+        "hplan.scene.steps": "Step",
         "hplan.scene.tracks": "Sway Track",
         "hplan.scene.upright": "Upright",
         "hplan.scene.wood": "LimbLimits Wood",

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
-from hplan.base.arguments import instance, list_of, number
+from hplan.base.arguments import instance, list_of, nearest_name, number
 from hplan.base.arrays import FloatArray, numbers
 from hplan.base.checked import StrictModel, check_values, fault
-from hplan.errors import MovingObstacleError, SceneError
+from hplan.errors import InputError, MovingObstacleError, SceneError
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.hull import Hull
 from hplan.geometry.rotation import quaternion_rotation, rpy_rotation
@@ -644,6 +644,67 @@ class Scene(StrictModel):
             ['crate']
         """
         return self.with_values(attached=list_of("attached", attached, Attached, "held objects"))
+
+    def pick_up(self, name: str, pose: ArrayLike, **held: Any) -> Scene:
+        """Return a checked copy in which the arm holds an obstacle or fruit, where it is.
+
+        Args:
+            name: Name of the obstacle or fruit.
+            pose: (4, 4) pose of the frame that holds it, in `base_link` [m].
+            held: Values of `Attached` besides the object: `frame`, `mass`, `may_touch`.
+
+        Raises:
+            InputError: There is no such obstacle or fruit, or `pose` is not a (4, 4) matrix.
+            SceneError: It has a track, a sway, a deflection or an uncertain position.
+
+        Examples:
+            >>> import numpy as np
+            >>> from hplan.scene import Sphere, load_scene
+            >>> pear = Sphere(name="pear", center=(1.0, 0.0, 1.0), radius=0.04)
+            >>> pose = np.eye(4)
+            >>> pose[:3, 3] = 1.0, 0.0, 0.9
+            >>> scene = load_scene().with_obstacles([pear]).pick_up("pear", pose, mass=0.2)
+            >>> np.round(scene.attached[0].object.center, 9).tolist()
+            [0.0, 0.0, 0.1]
+            >>> scene.put_down("pear", pose).obstacles[0].center
+            (1.0, 0.0, 1.0)
+        """
+        matrix = numbers("pose", pose, (4, 4))
+        items = {item.name: item for item in (*self.obstacles, *self.fruits)}
+        if name not in items:
+            raise InputError(f"no obstacle or fruit {name!r}; {nearest_name(name, items)}", name=name)
+        item = items[name]
+        if item.track is not None:
+            raise SceneError(f"{name!r} has a track; an object that is picked up is at rest", where=name)
+        shape: AnyObstacle = (
+            Sphere(name=name, center=item.center, radius=item.radius) if isinstance(item, Fruit) else item
+        )
+        rotation, position = matrix[:3, :3].T, -matrix[:3, :3].T @ matrix[:3, 3]
+        moved = shape.with_values(**transform_fields(shape, rotation, position))
+        rest = growing_from(item for item in self.obstacles if item.name != name)
+        fruits = hanging_from(rest, (fruit for fruit in self.fruits if fruit.name != name))
+        attached = (*self.attached, Attached(object=moved, **held))
+        return self.with_values(obstacles=rest, fruits=fruits, attached=attached)
+
+    def put_down(self, name: str, pose: ArrayLike) -> Scene:
+        """Return a checked copy in which a held object is an obstacle, where it is.
+
+        Args:
+            name: Name of the held object.
+            pose: (4, 4) pose of the frame that held it, in `base_link` [m].
+
+        Raises:
+            InputError: The arm holds no such object, or `pose` is not a (4, 4) matrix.
+        """
+        matrix = numbers("pose", pose, (4, 4))
+        item = next((item for item in self.attached if item.name == name), None)
+        if item is None:
+            names = [item.name for item in self.attached]
+            raise InputError(f"no held object {name!r}; {nearest_name(name, names)}", name=name)
+        fields = transform_fields(item.object, matrix[:3, :3], matrix[:3, 3])
+        placed = item.object.with_values(**fields)
+        left = tuple(each for each in self.attached if each is not item)
+        return self.with_values(obstacles=(*self.obstacles, placed), attached=left)
 
 
 #: Scenes that `checked_scene` has checked, by id: their values do not change.

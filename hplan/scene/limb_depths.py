@@ -14,6 +14,7 @@ import numpy as np
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.geometry.cloud import Cloud
 from hplan.scene.limb_parts import TINY, Pushables, depth_and_extension, parts_between, smallest_eigenvalue
+from hplan.scene.limb_sweeps import carried_along
 from hplan.scene.limbs import Limbs
 from hplan.scene.obstacle_kind import Solid
 from hplan.scene.wood import LEAST_DEPTH_M, STATIC_SHARE, Wood, limits_by_segment
@@ -55,6 +56,9 @@ def permitted_contacts(
     per_depth = pushables.force / np.maximum(whole, 1e-12)  # of the limb alone [N/m]
     most = np.clip(whole, 0.0, pushables.depth)
     found = _neighbours(pushables, most, limbs, hanging, stiff, wood)
+    for items in (pushables, hanging) if not pushables.mass.any() else ():
+        others = _pressed_farther_out(pushables, most, items, limbs, hanging, stiff, wood)
+        found = Neighbours(*(np.concatenate(pair) for pair in zip(found, others, strict=True)))
     depth, limit = most.copy(), STATIC_SHARE * limits_by_segment(limbs, wood).force[pushables.segment]
     for row in np.unique(found.pushable).tolist():
         mine = found.at(found.pushable == row)
@@ -83,8 +87,8 @@ class Neighbours(NamedTuple):
     stiffness: FloatArray
     depth: FloatArray
 
-    def at(self, kept: BoolArray) -> Neighbours:
-        """Those of a mask."""
+    def at(self, kept: BoolArray | IntArray) -> Neighbours:
+        """Those of a mask or of some numbers."""
         return Neighbours(self.pushable[kept], self.gap[kept], self.stiffness[kept], self.depth[kept])
 
 
@@ -98,6 +102,31 @@ def _squeezed_depth(most: float, per_depth: float, limit: float, neighbours: Nei
             break
         force, at, slope = force + slope * (gap - at), gap, slope + float(neighbours.stiffness[row])
     return min(most, at + (limit - force) / slope)
+
+
+def _pressed_farther_out(
+    pushables: Pushables, depth: FloatArray, items: Pushables, limbs: Limbs, hanging: Pushables,
+    stiff: Sequence[Solid], wood: Wood,
+) -> Neighbours:  # fmt: skip
+    """Obstacles that pushed limbs press other parts of theirs against, or fruit on them, as neighbours of their own."""
+    carried = carried_along(pushables, items, limbs)
+    moved = carried.ratio * depth[carried.pushed]
+    reach = np.zeros(len(items.names))
+    np.maximum.at(reach, carried.item, moved)
+    near = _neighbours(items, reach, limbs, hanging, stiff, wood)
+    # Limbs that touch at rest have grown together.
+    near = near.at((near.gap > 0.0) | (items.mass[near.pushable] > 0.0))
+    near = near.at(np.argsort(near.pushable, kind="stable"))
+    first, last = (np.searchsorted(near.pushable, carried.item, side=side) for side in ("left", "right"))
+    pair = np.repeat(np.arange(len(moved)), last - first)
+    row = np.arange(len(pair)) - np.repeat(np.cumsum(last - first) - (last - first), last - first)
+    row += first[pair]
+    touches = near.gap[row] < moved[pair]
+    pair, row = pair[touches], row[touches]
+    ratio = carried.ratio[pair]
+    return Neighbours(
+        carried.pushed[pair], near.gap[row] / ratio, near.stiffness[row] * ratio**2, near.depth[row] / ratio
+    )
 
 
 def _neighbours(

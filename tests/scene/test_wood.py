@@ -219,8 +219,8 @@ def test_wires_and_posts_are_no_limbs() -> None:
 
 
 FORK = Capsule(name="fork", start=(0.2, 0.0, 1.0), end=(0.2, 0.0, 1.3), radius=0.003, parent="twig")
-OTHER = Capsule(name="shoot", start=(0.0, 0.0, 1.5), end=(0.4, 0.0, 1.5), radius=0.004, parent="trunk")
-APPLE = Fruit(name="apple", center=(0.4, 0.0, 1.44), radius=0.03)
+OTHER = Capsule(name="shoot", start=(0.0, 0.0, 1.9), end=(0.4, 0.0, 1.9), radius=0.004, parent="trunk")
+APPLE = Fruit(name="apple", center=(0.4, 0.0, 1.84), radius=0.03)
 
 
 def limits_of(wood: Wood) -> dict[str, list[ContactLimit]]:

@@ -1,0 +1,63 @@
+"""What pushed limbs carry along, beside the compliance between random points and normals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scene.test_wood import TRUNK, TWIG, limit_of, random_tree
+
+from hplan.scene import Box, Fruit, Wood
+from hplan.scene.limb_contacts import contact_solids, limbs_of
+from hplan.scene.limb_parts import divide_limbs
+from hplan.scene.limb_sweeps import carried_along
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_moves_farther_than_its_bound(seed: int) -> None:
+    tree, wood, random = random_tree(seed), Wood(), np.random.default_rng(seed)
+    limbs = limbs_of(tree, wood)
+    parts = divide_limbs(limbs, wood)
+    carried, nearest = carried_along(parts, parts, limbs), 0.0
+    chosen = random.permutation(len(carried.pushed))[:400]
+    for pushed, item, ratio in zip(*(column[chosen].tolist() for column in carried), strict=True):
+        if parts.depth[pushed] <= 0.0:
+            continue
+        segments = int(parts.segment[item]), int(parts.segment[pushed])
+        along = [float(random.uniform(*parts.along[row])) for row in (item, pushed)]
+        points = np.stack([limbs.start[s] + at * limbs.axis[s] for s, at in zip(segments, along, strict=True)])
+        moved = limbs.mutual_compliance(segments, points, wood.stiffest)
+        own = limbs.compliance(segments[1], along[1] / float(limbs.length[segments[1]]), wood.stiffest)[:3, :3]
+        for _ in range(5):
+            normal = np.cross(limbs.axis[segments[1]], random.normal(size=3))
+            normal /= np.linalg.norm(normal)
+            found = float(np.linalg.norm(moved @ normal) / (normal @ own @ normal))
+            assert found <= ratio * (1.0 + 1e-6)
+            nearest = max(nearest, found / ratio)
+    assert nearest > 0.5
+
+
+def test_a_limb_does_not_press_its_tip_onto_a_rigid_obstacle() -> None:
+    box = Box(name="box", center=(0.42, 0.1, 1.0), size=(0.08, 0.18, 0.3))  # 6 mm beside the tip
+    free, beside = (
+        {limit_of(part).along: part.yields for part in contact_solids(all_of, (), Wood())["twig"][1:]}
+        for all_of in ((TRUNK, TWIG), (TRUNK, TWIG, box))
+    )
+    middle = [along for along in beside if along[1] < 0.35 and beside[along] > 0.0]
+    assert middle
+    for low, _ in middle:
+        # A force at x displaces the tip of a cantilever of the length l by (3 l - x) / (2 x) times the deflection.
+        depth = max(depth for along, depth in beside.items() if along[0] == low)
+        assert depth * (3.0 * 0.4 - low) / (2.0 * low) <= 0.006
+    assert max(beside[along] for along in middle) < 0.5 * max(free[along] for along in free if along[1] < 0.35)
+
+
+def test_a_fruit_on_a_pushed_limb_is_not_pressed_onto_a_rigid_obstacle() -> None:
+    below = Box(name="box", center=(0.4, 0.08, 1.44), size=(0.1, 0.09, 0.05))
+    apple = Fruit(name="apple", center=(0.4, 0.0, 0.96), radius=0.03)
+    beside = Box(name="box", center=(0.4, 0.08, 0.95), size=(0.1, 0.09, 0.05))  # 5 mm beside the apple
+    deepest = [
+        max(part.yields for part in contact_solids((TRUNK, TWIG, *boxes), (apple,), Wood())["twig"][1:])
+        for boxes in ((), (below,), (beside,))
+    ]
+    assert deepest[0] == deepest[1]
+    assert deepest[2] <= 0.005 < deepest[0]

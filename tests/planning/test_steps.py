@@ -133,3 +133,19 @@ def test_fruit_can_be_held_and_moving_obstacles_cannot() -> None:
     assert [item.name for item in held.put_down("pear", pose).obstacles] == ["branch", "cart", "pear"]
     with pytest.raises(SceneError, match="has a track"):
         scene.pick_up("cart", pose)
+
+
+def test_object_in_another_frame_is_put_where_it_is(ur5: Robot, scene: Scene) -> None:
+    """It is fixed to the forearm, far from everything, and let go elsewhere."""
+    q = np.array(HOME)
+    at = ur5.forward_kinematics(q, "forearm_link")
+    box = Sphere(name="box", center=tuple((at @ np.array([0.2, 0.0, 0.2, 1.0]))[:3].tolist()), radius=0.03)
+    begin = scene.with_values(obstacles=(box,), clearance=0.0)
+    turned = Goal(joints_rad=(HOME[0] + 1.0, *HOME[1:]))
+    steps = [
+        Step(goal=Goal(joints_rad=HOME), pick="box", frame="forearm_link", mass=0.1),
+        Step(goal=turned, put="box"),
+    ]
+    found = plan_steps(ur5, begin, steps, QUICK)
+    where = ur5.forward_kinematics([HOME[0] + 1.0, *HOME[1:]], "forearm_link") @ np.array([0.2, 0.0, 0.2, 1.0])
+    np.testing.assert_allclose(found.scene.obstacles[0].core[0], where[:3], atol=1e-6)

@@ -355,7 +355,8 @@ def certify_gently(
         if speeds is None or np.trapezoid(1.0 / speeds[:, 1], speeds[:, 0]) > _MOST_SLOWED * quick.duration:
             break
         with suppress(TimingError):
-            slower = trajectory.scale_speed(speeds, problem.robot)
+            # It begins where the motion does, and takes over from no running one.
+            slower = replace(trajectory.scale_speed(speeds, problem.robot), takes_over_s=quick.takes_over_s)
             found = certificate_of(problem, slower, None if among is None else among(slower))
             trajectory, certificate = slower, found
     return (trajectory if certificate.verified else quick), certificate

@@ -94,5 +94,5 @@ def test_a_picture(tmp_path):
 def test_a_file_that_is_none(tmp_path, capsys):
     assert run(tmp_path / "nothing.urdf") == 2
     assert "No such file" in capsys.readouterr().err
-    assert run(write(tmp_path, "<mujoco/>")) == 2
-    assert "the root element is <mujoco>" in capsys.readouterr().err
+    assert run(write(tmp_path, "<sdf/>")) == 2
+    assert "the root element is <sdf>" in capsys.readouterr().err

@@ -29,7 +29,7 @@ NEAR_PATH_M = 0.4
 
 #: The first path is preferred unless another path's smooth motion, and coarsely optimized motion, are faster by more
 #: than these fractions.
-_PREFERRED_SMOOTH, _PREFERRED_ROUGH = 0.03, 0.01
+_PREFERRED_SMOOTH, _PREFERRED_ROUGH = 0.03, 0.007
 
 #: Pairs of the arm's own bodies are left out of programs if they do not touch within this joint displacement of the
 #: motion [rad]: about the maximum change in one step.

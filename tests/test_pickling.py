@@ -34,6 +34,7 @@ SAMPLES = [
     errors.MovingObstacleError("crate"),
     errors.ObstacleInTimeError("crate", 1.5, ["the straight motion"]),
     errors.JointLimitError("start", "elbow", 2.0, 0.0, 1.0),
+    errors.TiltedError("goal", 0.2, 0.1),
     errors.FrameError("camera", "it has no points", given=0),
     errors.ConfigurationInCollisionError("start", "forearm", "post", 0.1, 0.01),
     errors.PathInContactError(

@@ -40,6 +40,7 @@ from hplan.planning.result import PlanResult
 from hplan.planning.stages import Progress, no_progress, stage, stage_clock
 from hplan.planning.world import World
 from hplan.robot.model import Robot
+from hplan.robot.upright import with_fixed_axis
 from hplan.scene.model import Goal, Scene, Start
 from hplan.trajectory.corner_rounding import LEAST_DEVIATION, rounded_path
 from hplan.trajectory.timing import corner_grid
@@ -299,7 +300,8 @@ def scene_along(robot: Robot, scene: Scene, path: GivenPath) -> Scene:
     if all(own is not None and own.shape == end.shape and np.abs(own - end).max() <= SAME for own, end in ends):
         return scene
     start, goal = (tuple(path.points[end].tolist()) for end in (0, -1))
-    return scene.copy_unchecked({"start": Start(joints_rad=start), "goal": Goal(joints_rad=goal)})
+    ends_of_path = {"start": Start(joints_rad=start), "goal": Goal(joints_rad=goal)}
+    return with_fixed_axis(robot, scene).copy_unchecked(ends_of_path)
 
 
 #: Maximum displacement of any point of the arm between two sampled configurations [m], and the maximum number of steps.

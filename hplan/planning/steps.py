@@ -36,6 +36,7 @@ from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task, plan
 from hplan.planning.stages import Progress, no_progress
 from hplan.robot.model import Robot
+from hplan.robot.upright import with_fixed_axis
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.steps import Step
 from hplan.trajectory.trajectory import Phase, Trajectory, join_trajectories
@@ -152,7 +153,7 @@ def plan_steps(
     whole = replace(options, deadline_s=None)
     with time_limit(options.deadline_s, cancel) as limit:
         try:
-            found, now = list[StepMotion](), scene
+            found, now = list[StepMotion](), with_fixed_axis(robot, scene)
             for number, step in enumerate(steps):
                 progress(f"step {number + 1} of {len(steps)}")
                 before = steps[number - 1] if number else None
@@ -190,7 +191,7 @@ def certify_steps(
     rows = np.searchsorted(trajectory.time, ends - 1e-9)
     if rows[-1:] != trajectory.samples - 1 or (np.diff(rows, prepend=0) <= 0).any():
         raise InputError("ends_s: expected increasing times of samples, the last one at the end of the motion")
-    parts, now, before = list[Certificate](), scene, None
+    parts, now, before = list[Certificate](), with_fixed_axis(robot, scene), None
     for step, (first, last) in zip(steps, pairwise([0, *rows.tolist()]), strict=True):
         part = trajectory.cut_after(last).cut_before(first)
         parts.append(_certify_step(robot, now, before, step, part, options))

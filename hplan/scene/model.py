@@ -41,7 +41,7 @@ from hplan.scene.obstacle_kind import (
 )
 from hplan.scene.obstacles import AnyObstacle, Capsule, Obstacle, Solid, Sphere
 from hplan.scene.robot_source import RobotField
-from hplan.scene.tracks import Movement, Sway
+from hplan.scene.tracks import Movement, Poses, Sway
 from hplan.scene.upright import Upright
 from hplan.scene.wood import Wood, limits_by_segment
 
@@ -50,6 +50,9 @@ FORMAT: Final = "hplan-scene/1"
 
 #: An angle up to half a turn [deg].
 Angle = Annotated[float, Field(ge=0.0, le=180.0)]
+
+#: Rotation of the base off the vertical that counts as none [rad].
+LEVEL: Final = 1e-6
 
 #: Tolerance of a quaternion's norm about 1; quaternions are normalized.
 QUATERNION_LENGTH: Final = 1e-3
@@ -313,6 +316,18 @@ class Scene(StrictModel):
                 if name not in wood:
                     raise fault(f"{name!r} is not among the obstacles", "fruits", index, "hangs_from")
         self._check_limbs()
+        return self
+
+    @model_validator(mode="after")
+    def _base_is_level(self) -> Scene:
+        """Refuse a base that tilts below a tool that has to stay upright: its tilt is measured in `base_link`."""
+        if self.upright is not None and self.base_track is not None:
+            base = Poses.from_track(self.base_track)
+            leans = 1.0 - base.rotations[:, 2, 2], np.abs(base.turns[:, :2]).ravel()
+            if max(float(lean.max()) for lean in leans) > LEVEL:
+                raise fault(
+                    "the base tilts on its track; an upright tool needs a base that turns about z only", "upright"
+                )
         return self
 
     @model_validator(mode="after")

@@ -22,7 +22,7 @@ class Upright(StrictModel):
     """Maximum tilt of the tool during the whole motion.
 
     The tilt is the angle between the vertical (against gravity, in `base_link`) and an axis fixed in the tool; rotation
-    about the vertical does not count.
+    about the vertical does not count. A base with a track does not tilt.
 
     Attributes:
         max_tilt_deg: Maximum tilt [deg].

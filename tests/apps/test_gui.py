@@ -9,8 +9,8 @@ import pytest
 
 from hplan import load_robot, load_scene
 from hplan.apps.view.session import Session, contact_words
-from hplan.errors import HplanError, InputError, OutputError
-from hplan.scene import Goal
+from hplan.errors import HplanError, InputError, OutputError, TiltedError
+from hplan.scene import Attached, Goal, Sphere, Start, Upright
 
 
 @pytest.fixture
@@ -93,3 +93,14 @@ def test_interface_does_what_its_widgets_say(session: Session, tmp_path) -> None
 def test_options_have_types() -> None:
     with pytest.raises(HplanError):
         Session(load_scene(), load_robot())
+
+
+def test_held_object_and_upright_axis_count_from_everywhere() -> None:
+    held = Attached(object=Sphere(name="melon", center=(0.0, 0.0, 0.0), radius=0.5))
+    start = Start(joints_deg=(0.0, 20.0, 40.0, 30.0))
+    scene = load_scene().with_values(start=start, locked_joints=(), upright=Upright(max_tilt_deg=8.0))
+    assert Session(load_robot(), scene.with_values(attached=(held,))).nearest_contact().link == "melon"
+    session = Session(load_robot(), scene)
+    session.set_joints(np.radians([0.0, 20.0, 40.0, 50.0]))
+    with pytest.raises(TiltedError, match="start"):
+        session.plan()

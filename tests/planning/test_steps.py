@@ -8,12 +8,12 @@ import pinocchio as pin
 import pytest
 from any_arms import loaded_arm
 
-from hplan import PlanOptions
-from hplan.errors import InputError, SceneError
+from hplan import PlanOptions, load_robot, load_scene
+from hplan.errors import InputError, SceneError, TiltedError
 from hplan.geometry.shape_outline import coal_distance
 from hplan.planning.steps import StepsResult, certify_steps, plan_steps
 from hplan.robot.model import Robot
-from hplan.scene import Box, Fruit, Goal, Scene, Sphere, Start, Step, Track
+from hplan.scene import Box, Fruit, Goal, Scene, Sphere, Start, Step, Track, Upright
 
 QUICK = PlanOptions(effort="quick")
 TABLE = Box(name="table", center=(0.55, 0.0, -0.15), size=(0.5, 1.2, 0.1))
@@ -149,3 +149,17 @@ def test_object_in_another_frame_is_put_where_it_is(ur5: Robot, scene: Scene) ->
     found = plan_steps(ur5, begin, steps, QUICK)
     where = ur5.forward_kinematics([HOME[0] + 1.0, *HOME[1:]], "forearm_link") @ np.array([0.2, 0.0, 0.2, 1.0])
     np.testing.assert_allclose(found.scene.obstacles[0].core[0], where[:3], atol=1e-6)
+
+
+def test_all_steps_keep_upright_the_axis_of_the_first_start() -> None:
+    robot, start = load_robot(), Start(joints_deg=(0.0, 20.0, 40.0, 30.0))
+    free = load_scene().with_values(start=start, obstacles=(), locked_joints=())
+    kept = free.with_values(upright=Upright(max_tilt_deg=8.0))
+    near, far = (Step(goal=Goal(joints_deg=(yaw, 30.0, 40.0, 26.0 + more))) for yaw, more in ((20.0, 0.0), (40.0, 6.0)))
+    assert plan_steps(robot, kept, [near], QUICK).certificate.verified
+    with pytest.raises(TiltedError, match="step 2 of 2"):
+        plan_steps(robot, kept, [near, far], QUICK)
+    found = plan_steps(robot, free, [near, far], QUICK)
+    ends_s = [phase.end_s for phase in found.phases]
+    assert certify_steps(robot, free, [near, far], found.trajectory, ends_s).verified
+    assert not certify_steps(robot, kept, [near, far], found.trajectory, ends_s).verified

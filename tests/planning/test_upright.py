@@ -21,7 +21,19 @@ from hplan.kinematics.inverse_kinematics import inverse_kinematics
 from hplan.planning.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.robot.upright import UprightTool
-from hplan.scene import Attached, Box, Goal, Scene, Start, Upright, dump_scene, load_scene, parse_scene, save_scene
+from hplan.scene import (
+    Attached,
+    Box,
+    Goal,
+    Scene,
+    Start,
+    Track,
+    Upright,
+    dump_scene,
+    load_scene,
+    parse_scene,
+    save_scene,
+)
 from hplan.trajectory.trajectory import Trajectory
 
 BEGIN = {"picker": (0.0, 0.3, 1.2, 0.1, -1.5, 0.0), "panda": (0.0, -0.4, 0.0, -2.2, 0.0, 1.8, 0.8)}
@@ -164,6 +176,30 @@ def test_planar_arm_keeps_the_pitch_of_its_tool() -> None:
     assert np.abs(np.degrees(pitch - pitch[0])).max() < 8.0
     locked = kept.with_values(goal=Goal(joints_deg=(0.0, 60.0, 20.0, 15.0)), locked_joints=("base_yaw",))
     assert hplan.plan(robot, locked).certificate.verified
+
+
+def test_base_that_tilts_below_an_upright_tool_is_refused() -> None:
+    scene = load_scene().with_values(upright=Upright(max_tilt_deg=8.0))
+    still = {"times_s": (0.0, 1.0), "shifts_m": ((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)), "about": (0.0, 0.0, 0.0)}
+    turning = scene.with_values(base_track=Track(**still, rpy_deg=((0.0, 0.0, 0.0), (0.0, 0.0, 90.0))))
+    assert turning.upright is not None
+    for angles in (((0.0, 0.0, 0.0), (0.0, 6.0, 0.0)), ((5.0, 0.0, 0.0), (5.0, 0.0, 0.0))):
+        with pytest.raises(SceneError, match="the base tilts"):
+            scene.with_values(base_track=Track(**still, rpy_deg=angles))
+
+
+def test_axis_is_that_of_the_start_along_given_waypoints() -> None:
+    robot, at_rest = hplan.load_robot(), (0.0, 20.0, 40.0, 30.0)
+    scene = load_scene().with_values(
+        start=Start(joints_deg=at_rest), obstacles=(), locked_joints=(), upright=Upright(max_tilt_deg=8.0)
+    )
+    for pitch, is_upright in ((0.0, True), (12.0, False)):
+        path = np.radians([[0.0, 20.0 + pitch, 40.0, 30.0], [20.0, 20.0 + pitch, 40.0, 30.0]])
+        if is_upright:
+            assert hplan.finish(robot, scene, path).certificate.verified
+            continue
+        with pytest.raises(HplanError, match="tilts"):
+            hplan.finish(robot, scene, path)
 
 
 def test_files_and_digests(tmp_path: Path) -> None:

@@ -11,11 +11,13 @@ from numpy.typing import ArrayLike
 from hplan.base.arguments import file_path, instance, nearest_name
 from hplan.base.arrays import FloatArray, numbers
 from hplan.collision.coal_scene import CoalScene, Contact
+from hplan.collision.held_objects import holding
 from hplan.errors import InputError, OutputError
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
+from hplan.robot.upright import with_fixed_axis
 from hplan.scene.file import save_scene
 from hplan.scene.fruit import Fruit
 from hplan.scene.model import Goal, Scene, Start
@@ -55,9 +57,10 @@ class Session:
             OptionError: An argument has another type.
         """
         instance("robot", robot, Robot, "load_robot")
-        self.robot, start = robot.about_start(instance("scene", scene, Scene).start)
+        instance("scene", scene, Scene)
+        self.robot, start = holding(robot, scene.attached).about_start(scene.start)
         self.q: FloatArray = start
-        self.scene = scene.snapshot(0.0) if scene.moves else scene
+        self.scene = with_fixed_axis(self.robot, scene.snapshot(0.0) if scene.moves else scene)
         self.result: PlanResult | None = None
         self._options = PlanOptions() if options is None else instance("options", options, PlanOptions)
         self._checker: CoalScene | None = None

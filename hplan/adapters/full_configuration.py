@@ -17,6 +17,9 @@ from hplan.robot.model import Robot
 #: Held joints are at multiples of this value [rad, m], because each value takes a robot of its own.
 _STEP: Final = 1e-3
 
+#: Excess of a joint limit that counts as the simulator's [rad, m].
+_EXCESS: Final = 0.01
+
 #: Number of these robots that are kept.
 _KEPT: Final = 8
 
@@ -46,7 +49,8 @@ class FullConfigurations:
     def arm_at(self, values: ArrayLike) -> tuple[float, ...]:
         """Return the arm's part of a configuration, and hold the other joints at theirs.
 
-        Values are clipped to the limits, which simulated joints exceed a little.
+        Values are clipped to the limits, which simulated joints exceed a little; those farther beyond stay, for the
+        planner to judge.
 
         Args:
             values: One value for each of `names`, or for each joint of the arm; held joints then stay as they are.
@@ -63,7 +67,8 @@ class FullConfigurations:
         elif len(found) != robot.dof:
             expected = f"{len(self.names)} values, or {robot.dof} of the arm alone"
             raise InputError(f"configuration: expected {expected}, got {len(found)}")
-        return tuple(np.clip(found, robot.lower, robot.upper).tolist())
+        within = np.clip(found, robot.lower, robot.upper)
+        return tuple(np.where(np.abs(within - found) <= _EXCESS, within, found).tolist())
 
 
 def with_limits(robot: Robot, *, velocity_limit: ArrayLike | None, acceleration_limit: ArrayLike | None) -> Robot:

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import ArrayLike
 
 from hplan.adapters import mplib
+from hplan.adapters.full_configuration import FullConfigurations
 from hplan.base.arrays import FloatArray
 from hplan.errors import InputError
 from hplan.robot.model import Robot, load_robot
@@ -148,3 +149,10 @@ def test_parameters_are_those_of_mplib() -> None:
         theirs = [*inspect.signature(getattr(real.Planner, call)).parameters]
         ours = [*inspect.signature(getattr(mplib.Planner, call)).parameters]
         assert [name for name in theirs if name in ours] == ours, call
+
+
+def test_values_far_beyond_the_limits_are_not_clipped() -> None:
+    robot = load_robot()
+    full = FullConfigurations(lambda _: robot, robot.joint_names)
+    assert full.arm_at([0.0, -0.005, 0.3, 0.2]) == (0.0, 0.0, 0.3, 0.2)
+    assert full.arm_at([0.0, -1.0, 0.3, 3.0]) == (0.0, -1.0, 0.3, 3.0)

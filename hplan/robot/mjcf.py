@@ -13,7 +13,7 @@ which is then read like any other one.
 | geoms that collide | `<collision>`; capsules are exact, ellipsoids boxes; planes and height fields are left out |
 | other geoms | `<visual>` |
 | sites | links without a body, for tool frames |
-| actuator force ranges | efforts, transmitted to the joint; those of the joint itself have priority |
+| actuator force ranges | efforts, transmitted to the joint, of the weaker direction; those of the joint itself first |
 | armature | rotor inertia |
 
 MJCF has no velocity limits: `VELOCITY_GUESS` is assumed. Springs, damping, friction and tendons are ignored.
@@ -179,7 +179,7 @@ class _Writer:
         """Maximum torque or force at a joint [N m, N]; None if nothing gives it."""
         model = self._model
         if model.jnt_actfrclimited[joint]:
-            return float(np.abs(model.jnt_actfrcrange[joint]).max())
+            return _both_ways(model.jnt_actfrcrange[joint])
         total, found = 0.0, False
         kinds, no_bias = self._mujoco.mjtTrn, int(self._mujoco.mjtBias.mjBIAS_NONE)
         transmitted = int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)
@@ -189,11 +189,13 @@ class _Writer:
             gear = abs(float(model.actuator_gear[actuator][0]))
             is_motor = int(model.actuator_biastype[actuator]) == no_bias
             if model.actuator_forcelimited[actuator]:
-                force = float(np.abs(model.actuator_forcerange[actuator]).max())
+                force = _both_ways(model.actuator_forcerange[actuator])
             elif is_motor and model.actuator_ctrllimited[actuator]:
                 gain = float(model.actuator_gainprm[actuator][0])
-                force = abs(gain) * float(np.abs(model.actuator_ctrlrange[actuator]).max())
+                force = _both_ways(gain * model.actuator_ctrlrange[actuator])
             else:
+                force = None
+            if force is None:
                 return None
             total, found = total + gear * force, True
         return total if found else None
@@ -271,6 +273,12 @@ class _Writer:
         _set_origin(element, place)
         ET.SubElement(element, "parent", {"link": parent})
         ET.SubElement(element, "child", {"link": child})
+
+
+def _both_ways(span: FloatArray) -> float | None:
+    """Maximum force in either direction within a range; None if there is none in one of them."""
+    most = min(-float(span.min()), float(span.max()))
+    return most if most > 0.0 else None
 
 
 def _placement(position: FloatArray, quaternion_wxyz: FloatArray) -> pin.SE3:

@@ -18,6 +18,7 @@ from hplan.base.arrays import FloatArray
 from hplan.errors import InputError, OptionError, RobotFileError, RobotFileWarning
 from hplan.planning.options import PlanOptions
 from hplan.robot.inspection import inspect_robot, limits_template
+from hplan.robot.mjcf import urdf_of_mjcf
 from hplan.robot.model import Robot
 from hplan.scene import Goal, Scene, Sphere, Start
 
@@ -303,3 +304,23 @@ def test_robots_of_robot_descriptions(file: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setitem(sys.modules, "robot_descriptions.odd_mj_description", module)
     for name in ("robot_descriptions:odd_mj", Path("robot_descriptions:odd_mj_description")):
         assert load(name).joint_names == MOVING
+
+
+def test_efforts_are_those_of_the_weaker_direction(tmp_path: Path) -> None:
+    """A URDF has one effort for both directions; an actuator of one direction only has none."""
+    file = tmp_path / "arm.xml"
+    file.write_text(
+        """<mujoco><worldbody><body name="a"><joint name="one" range="-1 1" actuatorfrcrange="-9 50"/>
+        <geom type="sphere" size="0.1"/><body name="b" pos="0.5 0 0"><joint name="two" range="-1 1"/>
+        <geom type="sphere" size="0.1"/><body name="c" pos="0.5 0 0"><joint name="three" range="-1 1"/>
+        <geom type="sphere" size="0.1"/></body></body></body></worldbody>
+        <actuator><motor joint="two" gear="2" forcerange="-30 8"/><motor joint="three" ctrlrange="0 7"/></actuator>
+        </mujoco>"""
+    )
+    efforts = {
+        joint.get("name"): float(limit.get("effort", "nan"))
+        for joint in urdf_of_mjcf(file).iter("joint")
+        for limit in joint.iter("limit")
+    }
+    assert efforts == {"one": 9.0, "two": 16.0, "three": 1.0}
+    assert urdf_of_mjcf(file).assumed["three"] == ["velocity", "effort"]

@@ -177,9 +177,8 @@ def _exemption(robot: Robot, pair: tuple[int, int], beyond: float) -> str | None
     between = joints_between(robot, first, second)
     if not between:
         return ROUND
-    if declared is None and len(between) == 1:
-        reason = _by_one_joint(robot, pair, between[0], beyond)
-        return None if reason in _in_contact(robot, between[0]) and _is_held(robot, pair) else reason
+    if declared is None and len(between) == 1 and not _is_held(robot, pair):
+        return _by_one_joint(robot, pair, between[0], beyond)
     return declared
 
 

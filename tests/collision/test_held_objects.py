@@ -181,6 +181,17 @@ def test_planar_arm_plans_with_an_object() -> None:
     )
 
 
+def test_object_that_cannot_touch_a_neighbour_keeps_the_clearance_from_it() -> None:
+    """A ball 0.1 m from the wrist's axis is as near to the forearm at all angles of the wrist."""
+    robot, scene = load_robot(), load_scene()
+    near = Attached(object=Sphere(name="ball", center=(-0.3, 0.0, 0.0), radius=0.02))
+    start, goal = Start(joints_deg=(0.0, 20.0, 40.0, 30.0)), Goal(joints_deg=(20.0, 30.0, 40.0, 0.0))
+    scene = scene.with_values(start=start, goal=goal, obstacles=(), locked_joints=(), attached=(near,), clearance=0.03)
+    certificate = plan(robot, scene).certificate
+    assert 0.03 < certificate.min_clearance_m < 0.05
+    assert not any("ball" in (rule.link, rule.other) for rule in certificate.pair_rules)
+
+
 def test_scene_files_keep_held_objects(tmp_path: Any) -> None:
     text = """
 name: held

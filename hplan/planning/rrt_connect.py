@@ -28,7 +28,7 @@ from hplan.planning.upright_paths import upright_chain
 _CHUNK, _MOST_NODES = 500, 20_000
 
 #: Maximum and minimum length of an edge, as displacement of the arm [m].
-EDGE_M, LEAST_M = 1.0, 0.002
+EDGE_M, LEAST_M = 0.3, 0.002
 
 #: The same if the tool has to stay upright, in time at the velocity limits: straight edges between upright
 #: configurations tilt it [s].

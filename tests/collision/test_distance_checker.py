@@ -87,10 +87,13 @@ def test_no_obstacles_and_no_configurations(arm: Robot) -> None:
         assert checker.in_collision(np.zeros((0, arm.dof))).shape == (0,)
 
 
-def test_spare_clearance_of_world_is_that_of_coal(arm: Robot) -> None:
+def test_spare_clearance_of_world_is_a_close_bound_of_coals(arm: Robot) -> None:
+    """The compiled distances decide where they are clear of the obstacles; they are lower bounds."""
     world = World.build(arm, solids(), clearance=0.01, tracking_error=0.002)
     q = np.random.default_rng(8).uniform(np.maximum(arm.lower, -np.pi), np.minimum(arm.upper, np.pi), (40, arm.dof))
     free = q[world.checker.spare_clearances(q) > 0.0]
     assert len(free)
+    sway = SWAYS_DIFFER * float(world.checker.required_distances[1].max())
     for row in free:
-        assert world.check_clear(row, "here") == pytest.approx(world.checker.spare_clearance(row, ALL), abs=TOLERANCE)
+        found, exact = world.check_clear(row, "here"), min(world.checker.spare_clearance(row, ALL), 1.0)
+        assert exact - sway - most_excess(arm) - TOLERANCE <= found <= exact + sway + TOLERANCE

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from hplan.adapters.full_configuration import FullConfigurations
 from hplan.adapters.poses import goal_at
+from hplan.adapters.sampling import states_every
 from hplan.base.arrays import FloatArray, numbers
 from hplan.base.log import LOG
 from hplan.errors import HplanError
@@ -105,9 +106,8 @@ class MotionPlanner:
             if self.debug:
                 LOG.warning("no motion in environment %d: %s", self.env_id, error.message)
             return False
-        motion, step_s = self.last.trajectory, float(self.env.step_dt)
-        rows = motion.positions(np.append(np.arange(step_s, motion.duration - 1e-9, step_s), motion.duration))
-        self._poses = [self.last.robot.forward_kinematics(row) for row in rows]
+        _, rows, *_ = states_every(self.last.trajectory, float(self.env.step_dt))
+        self._poses = [self.last.robot.forward_kinematics(row) for row in rows[1:]]
         return True
 
     def has_next_waypoint(self) -> bool:

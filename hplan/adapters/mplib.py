@@ -3,7 +3,6 @@
 The class has the constructor and the calls of `mplib.Planner` 0.1.1 that ManiSkill's solutions use, so that they run
 with `from hplan.adapters import mplib` in place of `import mplib`. Poses are (7,) rows x, y, z [m], qw, qx, qy, qz; a
 configuration holds all active joints, or those of the move group alone. Every motion that is returned is certified.
-
 Source: https://github.com/haosulab/MPlib, `mplib/planner.py`.
 """
 
@@ -19,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from hplan.adapters.full_configuration import FullConfigurations, with_limits
 from hplan.adapters.poses import goal_at, pose_of_row
+from hplan.adapters.sampling import states_every
 from hplan.base.arrays import FloatArray, numbers
 from hplan.errors import HplanError
 from hplan.geometry.rotation import rpy_of
@@ -47,8 +47,7 @@ class Planner:
         >>> from hplan import load_robot
         >>> from hplan.adapters import mplib
         >>> robot = load_robot()
-        >>> planner = mplib.Planner(urdf=str(robot.urdf_path), move_group="tool0")
-        >>> pose = robot.forward_kinematics([0.5, 0.6, 0.7, 0.8])
+        >>> planner, pose = mplib.Planner(str(robot.urdf_path), "tool0"), robot.forward_kinematics([0.5, 0.6, 0.7, 0.8])
         >>> row = [*pose[:3, 3], *np.roll(Rotation.from_matrix(pose[:3, :3]).as_quat(), 1)]
         >>> found = planner.plan_qpos_to_pose(row, [0.0, 0.6, 0.7, 0.8], time_step=0.05)
         >>> found["status"], found["position"].shape[1]
@@ -94,7 +93,7 @@ class Planner:
 
     def update_attached_box(self, size: ArrayLike, pose: ArrayLike, link_id: int = -1) -> None:
         """Attach a box with edges `size` [m] at a pose in a link; -1 for the move group."""
-        at, frame = pose_of_row(pose), self._full.robot.tool_frame if link_id == -1 else self.user_link_names[link_id]
+        at, frame = pose_of_row(pose), None if link_id == -1 else self.user_link_names[link_id]
         center, edges = (tuple(numbers("size", values, (3,)).tolist()) for values in (at[:3, 3], size))
         box = Box(name="attached box", center=center, size=edges, rpy_deg=rpy_of(at[:3, :3]))
         self._attached = (Attached(object=box, frame=frame),)
@@ -110,8 +109,8 @@ class Planner:
         The settings of mplib's sampling planner, which follow `time_step` and `wrt_world`, change nothing.
         """
         del rrt_range, planning_time, fix_joint_limits, planner_name, no_simplification, verbose
-        kept = {name for name, keeps in zip(self.user_joint_names, mask or (), strict=False) if keeps}
-        locked = tuple(name for name in self._full.robot.joint_names if name in kept)
+        keeps = dict(zip(self.user_joint_names, mask or (), strict=False))
+        locked = tuple(filter(keeps.get, self._full.robot.joint_names))
         task = {"goal": goal_at(self._in_base(goal_pose, wrt_world)), "locked_joints": locked}
         return self._answer(plan, task, current_qpos, time_step, use_point_cloud, use_attach)
 
@@ -131,23 +130,21 @@ class Planner:
         self, solve: Callable[[Robot, Scene], PlanResult], task: dict[str, Any], qpos: ArrayLike, time_step: float,
         use_point_cloud: bool, use_attach: bool,
     ) -> dict[str, Any]:  # fmt: skip
-        obstacles: list[Obstacle] = []
+        obstacles: tuple[Obstacle, ...] = ()
         if self._cloud is not None and use_point_cloud:
             points = (self._cloud[0] - self._base[:3, 3]) @ self._base[:3, :3]
-            obstacles.append(PointCloud.from_points("point cloud", points, radius=self._cloud[1]))
+            obstacles = (PointCloud.from_points("point cloud", points, radius=self._cloud[1]),)
         try:
             start = self._full.arm_at(qpos)
             scene = Scene(
-                name="mplib", start=Start(joints_rad=start), obstacles=tuple(obstacles),
+                name="mplib", start=Start(joints_rad=start), obstacles=obstacles,
                 attached=self._attached if use_attach else (), **({"goal": Goal(joints_rad=start)} | task),
             )  # fmt: skip
             found = solve(self._full.robot, scene)
         except HplanError as error:
             return {"status": error.message}
-        motion, end_s = found.trajectory, found.trajectory.duration
-        clock = np.append(np.arange(0.0, end_s - 1e-9, time_step), end_s)
-        position, velocity, acceleration = (np.array(rows) for rows in zip(*map(motion.state_at, clock), strict=True))
+        clock, position, velocity, acceleration = states_every(found.trajectory, time_step)
         return {
             "status": "Success", "time": clock, "position": position, "velocity": velocity,
-            "acceleration": acceleration, "duration": end_s, "certificate": found.certificate,
+            "acceleration": acceleration, "duration": clock[-1], "certificate": found.certificate,
         }  # fmt: skip

@@ -104,7 +104,7 @@ def test_obstacle_that_wanders_through(robot: Robot) -> None:
     planner = planner_for(robot)
     planner.add(AWAY)
     seen = set()
-    for bearing in np.linspace(-25.0, 85.0, 23):
+    for bearing in np.linspace(-25.0, 85.0, 34):
         place = post("post", float(bearing), 1.35, 0.0, 1.75, 0.05)
         planner.move("post", start=place.start, end=place.end)
         try:

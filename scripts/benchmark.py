@@ -33,6 +33,7 @@ STUDIES = {
     "cspace": "validation.cspace:CSPACE",
     "motions": "validation.motions:MOTIONS",
     "grazing": "validation.grazing:GRAZING",
+    "held": "validation.held:HELD",
     "yielding": "validation.compliance:YIELDING",
     "soak": "validation.soak:SOAK",
     "trees": "trees:TREES",

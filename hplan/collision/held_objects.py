@@ -10,6 +10,7 @@ for a mesh those of its convex pieces, weighted by their volumes.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -82,6 +83,11 @@ def held_inertia(item: Attached) -> pin.Inertia:
     center = whole.lever if item.center_of_mass is None else np.array(item.center_of_mass)
     inertia = scale * whole.inertia if item.inertia is None else np.array(item.inertia)
     return pin.Inertia(item.mass, center, inertia)
+
+
+def solid_volume(item: Attached) -> float:
+    """Volume of a held object, for a mesh that of its convex pieces [m^3]."""
+    return math.fsum(float(geometry.computeVolume()) for _, geometry in _solids(item))
 
 
 def _unit_inertia(placement: pin.SE3, geometry: coal.CollisionGeometry) -> pin.Inertia:
@@ -168,22 +174,32 @@ def _frame_of(robot: Robot, item: Attached, index: int) -> int:
     return robot.frame_number(name)
 
 
+def hand_links(robot: Robot, item: Attached) -> tuple[str, ...]:
+    """Links of the hand that holds an object; empty for an object that is fixed to another part of the arm.
+
+    The hand is all that the joint of the tool frame carries, moving fingers included.
+    """
+    frame = robot.frame_number(robot.tool_frame if item.frame is None else item.frame)
+    tool, joint = robot.tool_joint - 1, int(robot.model.frames[frame].parentJoint) - 1
+    if tool not in carriers(robot, joint):
+        return ()
+    bodies = (frame for frame in robot.model.frames if frame.type == pin.FrameType.BODY)
+    return tuple(str(frame.name) for frame in bodies if tool in carriers(robot, int(frame.parentJoint) - 1))
+
+
 def _permitted(robot: Robot, attached: Sequence[Attached]) -> Iterator[tuple[str, str, str]]:
     """Pairs that may touch because of held objects, with the reason.
 
     Raises:
         SceneError: A name in `may_touch` is neither a link nor a held object.
     """
-    links = {str(f.name): int(f.parentJoint) - 1 for f in robot.model.frames if f.type == pin.FrameType.BODY}
+    links = {str(frame.name) for frame in robot.model.frames if frame.type == pin.FrameType.BODY}
     names = {item.name for item in attached}
     for index, item in enumerate(attached):
         if item.may_touch is None:
-            joint = int(robot.model.frames[_frame_of(robot, item, index)].parentJoint) - 1
-            beyond = (link for link, at in links.items() if joint >= 0 and joint in carriers(robot, at)[1:])
-            yield from ((item.name, link, "it holds the object") for link in beyond)
-            continue
-        for place, name in enumerate(item.may_touch):
-            if name not in links.keys() | names - {item.name}:
+            yield from ((item.name, link, "it is in the hand") for link in hand_links(robot, item))
+        for place, name in enumerate(item.may_touch or ()):
+            if name not in links | names - {item.name}:
                 known = f"{name!r} is neither a link nor another held object; the links are {', '.join(sorted(links))}"
                 raise SceneError(known, where=f"attached[{index}].may_touch[{place}]", value=name)
             yield item.name, name, "the scene permits it for a held object"

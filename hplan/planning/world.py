@@ -273,9 +273,12 @@ def check_clear(checker: CoalScene, q: FloatArray, which: str) -> float:
             other=robot.link_in_words(nearest.obstacle) if is_own else nearest.other_name,
         )  # fmt: skip
         arms = [robot.owner_of(nearest.link), robot.owner_of(nearest.obstacle)]
+        held = {item.name for item in robot.attached}.intersection((nearest.link, nearest.obstacle))
         if is_own and arms[0] != arms[1]:
             how = "if they touch by design, declare the pair in the cell's scene (may_touch:)"
             error.add(f"the two arms stand too close together: move a base (position:); {how}", arms=arms)
+        elif is_own and held:
+            error.add("if it may touch that part, name it in the object's may_touch", held=sorted(held))
         elif is_own:
             _name_neighbours(error, checker, q)
         raise error

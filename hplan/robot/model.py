@@ -142,10 +142,12 @@ class Robot(Record):
         return self.owners.get(link)
 
     def link_in_words(self, link: str) -> str:
-        """Name of a link for messages.
+        """Name of a link or held object for messages.
 
         Includes its arm for a multi-arm robot.
         """
+        if link in {item.name for item in self.attached}:
+            return f"held object {link!r}"
         arm = self.owner_of(link)
         return f"link {link!r}" if arm is None else f"link {link.removeprefix(f'{arm}_')!r} of arm {arm!r}"
 

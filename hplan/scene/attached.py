@@ -30,8 +30,9 @@ class Attached(StrictModel):
         center_of_mass: Centre of mass in the frame [m]; None for that of a homogeneous solid of this shape.
         inertia: Rows of the inertia about the centre of mass, along the axes of the frame [kg m^2]; None for that of a
             homogeneous solid of this shape.
-        may_touch: Names of the links and other held objects that it may touch; None for the links beyond its joint,
-            for example the fingers around it. It may always touch what does not move relative to it.
+        may_touch: Names of the links and other held objects that it may touch; None for the links of the hand, fingers
+            included, if the hand holds it, and for none otherwise. It may always touch what does not move relative to
+            it.
 
     Examples:
         >>> from hplan.scene import Attached, Box

@@ -39,7 +39,7 @@ from hplan.certificate.motion_bound import fastest
 from hplan.certificate.moving_obstacles import checker_in_time
 from hplan.collision.collision_bodies import CollisionBody, collision_bodies
 from hplan.collision.compiled_field import ClearanceField
-from hplan.collision.held_objects import holding
+from hplan.collision.held_objects import hand_links, holding
 from hplan.collision.self_pairs import self_pairs
 from hplan.errors import InputError, OptionError
 from hplan.geometry.hull import CUBE_CORNERS, whole_hull
@@ -759,7 +759,8 @@ def _attached_in_cell(arm: CellRobot, robot: Robot) -> tuple[Attached, ...]:
     links = {str(frame.name) for frame in robot.model.frames}
 
     def change(item: Attached) -> Attached:
-        touched = item.may_touch and tuple(f"{arm.name}_{name}" if name in links else name for name in item.may_touch)
+        permitted = hand_links(robot, item) if item.may_touch is None else item.may_touch
+        touched = tuple(f"{arm.name}_{name}" if name in links else name for name in permitted)
         return item.copy_unchecked({"frame": f"{arm.name}_{item.frame or robot.tool_frame}", "may_touch": touched})
 
     return tuple(map(change, arm.attached))

@@ -14,6 +14,7 @@ from hplan.apps.ros import (
     cloud_points,
     from_joint_trajectory,
     joint_trajectories,
+    read_attached,
     read_planning_scene,
     to_joint_trajectory,
 )
@@ -108,6 +109,29 @@ def test_attached_object_leaves_the_world() -> None:
     assert places(updates) == {"b": 2.0}
     updates.apply(scene(ball("a", 1.2), is_diff=True, robot_state=attached("a", 1)))
     assert places(updates) == {"a": 1.2, "b": 2.0}
+
+
+def test_attached_object_is_held_until_it_is_put_back() -> None:
+    """Its shape is in the frame of its link; its names of links are those that it may touch."""
+    box = {"type": 1, "dimensions": [0.1, 0.2, 0.3]}
+    held = {**ball("a", 0.0, frame="hand"), "primitives": [box, {"type": 2, "dimensions": [0.05]}]}
+    item = {"link_name": "hand", "object": held, "touch_links": ["finger"], "weight": 2.0}
+    updates = SceneUpdates()
+    updates.apply(as_object(scene(ball("a", 1.0), ball("b", 2.0))))
+    updates.apply(as_object(scene(is_diff=True, robot_state={"attached_collision_objects": [item]})))
+    assert places(updates) == {"b": 2.0}
+    assert [(each.name, each.frame, each.may_touch) for each in updates.attached] == [
+        ("a 1", "hand", ("finger",)),
+        ("a 2", "hand", ("finger",)),
+    ]
+    assert sum(each.mass for each in updates.attached) == pytest.approx(2.0)
+    assert updates.attached[0].mass / updates.attached[1].mass == pytest.approx(0.006 / (4.0 / 3.0 * np.pi * 0.05**3))
+    np.testing.assert_allclose(updates.attached[1].object.core, [[0.0, 0.0, 0.5]])
+    updates.apply(scene(ball("a", 1.2), is_diff=True, robot_state=attached("a", 1)))
+    assert updates.attached == ()
+    assert places(updates) == {"b": 2.0, "a": 1.2}
+    with pytest.raises(SceneError, match="but it is in frame 'world'"):
+        read_attached({"robot_state": attached("a")})
 
 
 def test_padding_of_links_is_a_clearance() -> None:

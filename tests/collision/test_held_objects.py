@@ -144,7 +144,9 @@ def test_links_may_touch_the_object_only_as_permitted(toy: Robot) -> None:
 
 def test_an_object_that_always_touches_a_link_is_refused(toy: Robot) -> None:
     huge = Attached(object=Sphere(name="balloon", center=(0.0, 0.0, 0.0), radius=0.6))
-    with pytest.raises(ConfigurationInCollisionError, match="balloon"):
+    with pytest.raises(
+        ConfigurationInCollisionError, match=r"held object 'balloon'.*name it in the object's may_touch"
+    ):
         plan(toy, task(toy).with_attached([huge]), QUICK)
 
 
@@ -259,3 +261,47 @@ def test_robot_with_turned_joints_holds_objects() -> None:
     loaded = holding(turned, [Attached(object=CRATE)])
     np.testing.assert_allclose(loaded.lower, turned.lower)
     assert holding(loaded, []) is turned
+
+
+def test_simulated_arm_carries_the_mass() -> None:
+    """MuJoCo's inverse dynamics equals Pinocchio's with the object."""
+    mujoco = pytest.importorskip("mujoco")
+    from hplan.apps.execution.simulated_arm import SimulatedArm
+
+    robot, scene = load_robot(), load_scene()
+    shapes = [CRATE.with_values(center=(0.1, 0.0, 0.05)), SHAPES[4], SHAPES[2]]
+    held = [Attached(object=shape, mass=1.0 + number) for number, shape in enumerate(shapes)]
+    arm = SimulatedArm(robot, scene.with_attached(held))
+    rng, lower, upper = np.random.default_rng(0), robot.lower, robot.upper
+    for _ in range(10):
+        q, (v, a) = lower + (upper - lower) * rng.uniform(0.3, 0.7, robot.dof), rng.uniform(-1.0, 1.0, (2, robot.dof))
+        arm._data.qpos[arm._q_at], arm._data.qvel[arm._v_at], arm._data.qacc[arm._v_at] = q, v, a
+        mujoco.mj_inverse(arm._model, arm._data)
+        expected = holding(robot, held).dynamics.torques(q[None], v[None], a[None])[0]
+        np.testing.assert_allclose(arm._data.qfrc_inverse[arm._v_at], expected, atol=1e-7)
+
+
+def test_workcell_arm_holds_an_object() -> None:
+    """Another arm keeps clear of it, and its mass counts."""
+    from hplan import Cell, certify_cell
+    from hplan.scene.cell import CellRobot, CellScene
+
+    robot = load_robot()
+    pole = Attached(object=Capsule(name="pole", start=(0.1, 0, 0), end=(1.5, 0, 0), radius=0.02), mass=1.0)
+
+    def cell_with(attached: tuple[Attached, ...]) -> Cell:
+        start = Start(joints_deg=(90.0, 0.0, 0.0, 0.0))
+        left = CellRobot(name="left", robot=robot.name, position=(0, -2.5, 0), start=start, attached=attached)
+        away = Start(joints_deg=(0.0, 0.0, 0.0, 0.0))
+        right = CellRobot(name="right", robot=robot.name, position=(-0.5, 1.0, 0), start=away)
+        return Cell.from_robots(CellScene(name="pair", robots=(left, right)), {"left": robot, "right": robot})
+
+    empty, held = cell_with(()), cell_with((pole,))
+    assert certify_cell(empty, empty.join_motions({})).verified
+    found = certify_cell(held, held.join_motions({}))
+    assert not found.between.verified
+    assert "held object 'pole'" in found.between.violations[0]
+    assert held.arm("left").robot.attached == (pole,)
+    assert [item.frame for item in held.robot.attached] == ["left_tool0"]
+    with pytest.raises(SceneError, match="names must differ"):
+        cell_with((pole, pole))

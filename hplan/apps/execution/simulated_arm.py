@@ -21,6 +21,7 @@ from hplan.base.arrays import FloatArray, IntArray, numbers
 from hplan.base.checked import NotNegative, Options, Positive
 from hplan.base.lazy_import import extra
 from hplan.collision.compliant_solids import maximum_deflection, pushing_links
+from hplan.collision.held_objects import held_inertia, holding
 from hplan.errors import InputError, RobotFileError
 from hplan.geometry.cloud import Cloud
 from hplan.robot.model import Robot
@@ -107,6 +108,7 @@ def mujoco_model(
         robot, solids, scene.yield_links, () if scene.goal_fruit is None else scene.goal_fruit.hangs_from
     )
     pushing = () if depths is None else pushing_links(robot, scene.yield_links)
+    _add_held(mujoco, spec, robot)
     for geom in spec.geoms:
         # MuJoCo checks two geometries if contype of one and conaffinity of the other share a bit. Links have a contype
         # only and obstacles a conaffinity only, so contacts are between the arm and obstacles.
@@ -143,6 +145,30 @@ def mujoco_model(
     return model, {model.geom(label).id: name for label, name in names.items()}, wood
 
 
+def _add_held(mujoco: ModuleType, spec: Any, robot: Robot) -> None:
+    """Add the objects that the arm holds to the bodies that carry them, with their masses."""
+    for number, item in enumerate(robot.attached):
+        frame = robot.model.frames[robot.frame_number(item.name)]
+        carrier = spec.worldbody
+        if frame.parentJoint > 0:
+            carrier = spec.joint(robot.joint_names[frame.parentJoint - 1]).parent
+        body = carrier.add_body(name=item.name, **_pose(frame.placement))
+        for solid in item.object.solids:
+            for shape in _shapes(mujoco, spec, solid, f"held:{number}"):
+                body.add_geom(mass=0.0, **shape)
+        inertia = held_inertia(item)
+        if inertia.mass > 0.0:
+            body.explicitinertial, body.mass, body.ipos = True, inertia.mass, inertia.lever
+            # The diagonal, then the three values above it.
+            body.fullinertia = inertia.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+
+
+def _pose(place: pin.SE3) -> dict[str, Any]:
+    """A pose as arguments of a MuJoCo body."""
+    turn = pin.Quaternion(place.rotation)
+    return {"pos": place.translation, "quat": [turn.w, turn.x, turn.y, turn.z]}
+
+
 def _add_wood(
     mujoco: ModuleType, spec: Any, scene: Scene, trees: BendingTrees, bending: Collection[str] | None
 ) -> WoodBodies:
@@ -170,7 +196,7 @@ def _mesh_file(name: str, folder: Path) -> str:
     return str((folder / name).resolve())
 
 
-def _shapes(mujoco: ModuleType, spec: Any, obstacle: Solid, number: int) -> list[dict[str, Any]]:
+def _shapes(mujoco: ModuleType, spec: Any, obstacle: Solid, number: int | str) -> list[dict[str, Any]]:
     """Arguments of the MuJoCo geometries that represent an obstacle."""
     kinds = mujoco.mjtGeom
     if isinstance(obstacle, Sphere):
@@ -274,9 +300,10 @@ class SimulatedArm:
             MovingObstacleError: An obstacle of the scene moves.
             RobotFileError: MuJoCo refuses the URDF.
         """
-        self.robot, self.plant = instance("robot", robot, Robot, "load_robot"), Plant() if plant is None else plant
-        self._mujoco = import_mujoco()
         instance("scene", scene, Scene, "load_scene")
+        self.robot = robot = holding(instance("robot", robot, Robot, "load_robot"), scene.attached)
+        self.plant = Plant() if plant is None else plant
+        self._mujoco = import_mujoco()
         self._model, self._obstacle_of, wood = mujoco_model(
             self._mujoco, robot, scene, timestep_s=CONTROL_PERIOD / _SUBSTEPS, trees=trees, bending=bending
         )

@@ -39,6 +39,7 @@ from hplan.base.arrays import FloatArray, Record, numbers, readonly
 from hplan.base.csv_file import CsvFile
 from hplan.base.units import SLIDING, TURNING, joint_unit
 from hplan.collision.coal_scene import CoalScene, Contact
+from hplan.collision.held_objects import holding
 from hplan.errors import InputError, OptionError
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
@@ -252,8 +253,8 @@ def execute(
         RobotFileError: MuJoCo refuses the URDF.
         SceneError: `trees` is given for a scene without limbs.
     """
-    instance("robot", robot, Robot, "load_robot")
     instance("scene", scene, Scene, "load_scene")
+    robot = holding(instance("robot", robot, Robot, "load_robot"), scene.attached)
     if not all(hasattr(motion, name) for name in ("joint_names", "time", "position", "velocity")):
         raise OptionError("motion", motion, "a Trajectory, as from plan, or a Motion, as from read_motion")
     reference = _Reference.build(robot, motion)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from hplan.apps.ros.mcap_file import write_mcap
     from hplan.apps.ros.moveit_scene import read_moveit_scene
     from hplan.apps.ros.octomap import read_octomap
-    from hplan.apps.ros.planning_scene import read_planning_scene
+    from hplan.apps.ros.planning_scene import read_attached, read_planning_scene
     from hplan.apps.ros.scene_updates import SceneUpdates
     from hplan.apps.ros.transforms import robot_description
 
@@ -34,6 +34,7 @@ __all__ = [
     "cloud_points",
     "from_joint_trajectory",
     "joint_trajectories",
+    "read_attached",
     "read_bag_cloud",
     "read_moveit_scene",
     "read_octomap",
@@ -58,7 +59,7 @@ __getattr__ = lazy_names(
         "hplan.apps.ros.mcap_file": "write_mcap",
         "hplan.apps.ros.moveit_scene": "read_moveit_scene",
         "hplan.apps.ros.octomap": "read_octomap",
-        "hplan.apps.ros.planning_scene": "read_planning_scene",
+        "hplan.apps.ros.planning_scene": "read_attached read_planning_scene",
         "hplan.apps.ros.scene_updates": "SceneUpdates",
         "hplan.apps.ros.transforms": "robot_description",
     },

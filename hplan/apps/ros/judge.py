@@ -202,9 +202,11 @@ class Judge:
         """
         obstacles = () if self.updates is None else self.updates.obstacles
         padding_m = 0.0 if self.updates is None else self.updates.padding_m
+        attached = (*self.scene.attached, *(() if self.updates is None else self.updates.attached))
         clearance_m = max(self.options.clearance_m, self.scene.clearance, padding_m)
-        if obstacles is not self._obstacles or clearance_m != self._among.clearance:
-            changed = self.scene.with_values(clearance=clearance_m)
+        before = self._among.clearance, self._among.attached
+        if obstacles is not self._obstacles or before != (clearance_m, attached):
+            changed = self.scene.with_values(clearance=clearance_m, attached=attached)
             self._among = changed.with_obstacles((*changed.obstacles, *obstacles)) if obstacles else changed
             self._obstacles = obstacles
         return self._among

@@ -189,7 +189,7 @@ def make_node() -> Any:
             """Give the planner the obstacles of the planning scene."""
             assert self.updates is not None
             try:
-                self.session.set_obstacles(self.updates.obstacles, self.updates.padding_m)
+                self.session.set_obstacles(self.updates.obstacles, self.updates.padding_m, self.updates.attached)
                 self.session.fault = ""
             except HplanError as error:
                 self.session.fault = error.message

@@ -7,6 +7,7 @@ files of robowflex, words and lists may replace numbers and named fields: `type:
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final
@@ -18,7 +19,9 @@ from hplan.apps.ros.fields import are_messages, column, fields_of, is_message, r
 from hplan.apps.ros.moveit_scene import NO_PLANE, SIZES, OpenMeshes, mesh, planning_frame, pose, shape
 from hplan.apps.ros.octomap import read_octomap
 from hplan.base.arguments import is_number, list_of
+from hplan.collision.held_objects import solid_volume
 from hplan.errors import OptionError, SceneError
+from hplan.scene.attached import Attached
 from hplan.scene.limits import Vector
 from hplan.scene.obstacles import Obstacle
 
@@ -38,6 +41,9 @@ MESSAGE: Final = (
     *("link_scale", "object_colors", "world", "is_diff"),
 )
 WORLD: Final = ("collision_objects", "octomap")
+#: Key of the attached objects, and fields of the message `AttachedCollisionObject`.
+ATTACHED: Final = "robot_state.attached_collision_objects"
+_HELD: Final = ("link_name", "object", "touch_links", "detach_posture", "weight")
 OBJECT: Final = (
     *("header", "pose", "id", "type", "primitives", "primitive_poses", "meshes", "mesh_poses", "planes", "plane_poses"),
     *("subframe_names", "subframe_poses", "operation"),
@@ -83,15 +89,11 @@ def check_parts(message: Mapping[str, Any], world: Mapping[str, Any], where: str
 
 
 def _attached_fault(message: Mapping[str, Any]) -> str:
-    where = "robot_state"
-    state = check_mapping(or_else(message.get(where), {}), where)
-    where += ".attached_collision_objects"
-    for index, item in enumerate(sequence(or_else(state.get("attached_collision_objects"), ()), where)):
-        held = check_mapping(item, f"{where}[{index}]")
-        name = check_mapping(or_else(held.get("object"), {}), f"{where}[{index}].object").get("id")
+    for index, held in enumerate(attached_items(message)):
+        name = check_mapping(or_else(held.get("object"), {}), f"{ATTACHED}[{index}].object").get("id")
         return (
             f"{name!r} is attached to link {held.get('link_name')!r}, and an attached object is not an obstacle; "
-            "model it as a part of that link in the URDF"
+            "read_attached reads it"
         )
     return ""
 
@@ -368,6 +370,91 @@ def read_planning_scene(
         return tuple(_read_obstacles(_World(message, left_out), base, prefix, open_meshes))
     except SceneError as error:
         raise SceneError(error.reason, path=path, where=error.where, value=error.value) from error
+
+
+def read_attached(source: Any, *, prefix: str = "", open_meshes: OpenMeshes = "refuse") -> tuple[Attached, ...]:
+    """Read the attached objects of a planning scene.
+
+    `touch_links` are the links that they may touch besides those that move with them, `weight` is a mass [kg]; an
+    object of several shapes gives one for each, with a share of the mass by volume.
+
+    Args:
+        source: The message, as for `read_planning_scene`; its objects are in the frames of their links.
+        prefix: Prepended to every name.
+        open_meshes: `refuse` meshes that are open or inside out, or replace them by their convex `hull`.
+
+    Raises:
+        SceneError: The file is missing or malformed, or an object is in another frame than its link or has no shape;
+            names the key.
+        OptionError: An option of the wrong type or range.
+
+    Examples:
+        >>> from hplan.apps.ros import read_attached
+        >>> ball = {"id": "pear", "primitives": [{"type": "sphere", "dimensions": [0.04]}]}
+        >>> held = {"link_name": "tool0", "object": ball, "touch_links": ["finger"], "weight": 0.2}
+        >>> (item,) = read_attached({"robot_state": {"attached_collision_objects": [held]}})
+        >>> item.name, item.frame, item.may_touch, item.mass
+        ('pear', 'tool0', ('finger',), 0.2)
+    """
+    planning_frame((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), prefix, open_meshes)
+    message, path = read_message(source, SceneError)
+    try:
+        check_keys(message, MESSAGE, "")
+        return tuple(
+            held
+            for index, item in enumerate(attached_items(message))
+            for held in read_held(item, f"{ATTACHED}[{index}]", prefix=prefix, open_meshes=open_meshes)
+        )
+    except SceneError as error:
+        raise SceneError(error.reason, path=path, where=error.where, value=error.value) from error
+
+
+def attached_items(message: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Fields of the attached objects of a planning scene.
+
+    Raises:
+        SceneError: The message is malformed.
+    """
+    state = check_mapping(or_else(message.get("robot_state"), {}), "robot_state")
+    items = sequence(or_else(state.get("attached_collision_objects"), ()), ATTACHED)
+    return [check_mapping(item, f"{ATTACHED}[{index}]") for index, item in enumerate(items)]
+
+
+def read_held(
+    item: Mapping[str, Any], where: str, *, prefix: str = "", open_meshes: OpenMeshes = "refuse"
+) -> tuple[Attached, ...]:
+    """Held objects of one `moveit_msgs/msg/AttachedCollisionObject`.
+
+    Args:
+        item: Its fields.
+        where: Its key in the message, for errors.
+        prefix: Prepended to every name.
+        open_meshes: `refuse` meshes that are open or inside out, or replace them by their convex `hull`.
+
+    Raises:
+        SceneError: It has no link or shape, or is in another frame than its link.
+    """
+    check_keys(item, _HELD, where)
+    link, content = item.get("link_name"), check_mapping(or_else(item.get("object"), {}), f"{where}.object")
+    if not isinstance(link, str) or not link:
+        raise SceneError(f"expected the name of a link, got {link!r}", where=f"{where}.link_name", value=link)
+    name, frame = object_name(content, f"{where}.object"), frame_of(content, f"{where}.object")
+    attached = f"{name!r} is attached to link {link!r}"
+    if not any(len(or_else(content.get(key), ())) for key in ("primitives", "meshes", "planes")):
+        raise SceneError(f"{attached}, but the message does not have its shape", where=f"{where}.object")
+    if frame not in ("", link):
+        reason = f"{attached}, but it is in frame {frame!r}; expected the frame of the link"
+        raise SceneError(reason, where=f"{where}.object.header.frame_id", value=frame)
+    mass, touched = item.get("weight", 0.0), sequence(or_else(item.get("touch_links"), ()), f"{where}.touch_links")
+    if not is_number(mass) or not all(isinstance(each, str) for each in touched):
+        raise SceneError("expected a number for weight, and names for touch_links", where=where)
+    still, frames = pin.SE3.Identity(), FixedFrames({})
+    local = {**content, "header": {}}
+    shapes = read_object(local, f"{where}.object", frames, still, prefix=prefix, open_meshes=open_meshes)
+    whole = [Attached(object=each, frame=link, may_touch=tuple(touched)) for each in shapes]
+    volumes = [solid_volume(each) for each in whole]
+    shares = [float(mass) * volume / math.fsum(volumes) for volume in volumes]
+    return tuple(each.with_values(mass=share) for each, share in zip(whole, shares, strict=True))
 
 
 class _World:

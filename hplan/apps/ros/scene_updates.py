@@ -13,9 +13,11 @@ from typing import Any
 from hplan.apps.ros.fields import fields_of, read_message
 from hplan.apps.ros.moveit_scene import OpenMeshes, planning_frame
 from hplan.apps.ros.planning_scene import (
+    ATTACHED,
     MESSAGE,
     WORLD,
     FixedFrames,
+    attached_items,
     check_keys,
     check_left_out,
     check_mapping,
@@ -23,12 +25,14 @@ from hplan.apps.ros.planning_scene import (
     object_name,
     operation_of,
     or_else,
+    read_held,
     read_map,
     read_object,
     sequence,
 )
 from hplan.base.arguments import is_number
 from hplan.errors import SceneError
+from hplan.scene.attached import Attached
 from hplan.scene.limits import Vector
 from hplan.scene.obstacles import Obstacle
 
@@ -36,11 +40,10 @@ from hplan.scene.obstacles import Obstacle
 _REPLACED = ("fixed_frame_transforms", "allowed_collision_matrix", "link_padding", "link_scale")
 
 _OBJECTS = "world.collision_objects"
-_ATTACHED = "robot_state.attached_collision_objects"
 
 
 class SceneUpdates:
-    """Obstacles of a planning scene that changes.
+    """Obstacles and held objects of a planning scene that changes.
 
     Nothing is known before the first whole message, unless the world starts empty; and after a message that cannot be
     read, until the next whole one: obstacles that are out of date are never returned.
@@ -86,7 +89,7 @@ class SceneUpdates:
     def _clear(self) -> None:
         self._parts: dict[str, Any] = {}
         self._objects: dict[str, Mapping[str, Any]] = {}
-        self._attached: dict[str, Mapping[str, Any]] = {}
+        self._attached: dict[str, tuple[Attached, ...]] = {}
         self._octomap: Mapping[str, Any] = {}
         self._read: dict[str, tuple[Obstacle, ...]] = {}
         self._frames: FixedFrames | None = None
@@ -102,6 +105,17 @@ class SceneUpdates:
         if self._fault is not None:
             raise self._fault
         return self._obstacles
+
+    @property
+    def attached(self) -> tuple[Attached, ...]:
+        """The objects that the arm holds after the last message (`read_attached`).
+
+        Raises:
+            SceneError: No whole message has arrived, or one since then could not be read.
+        """
+        if self._fault is not None:
+            raise self._fault
+        return tuple(part for parts in self._attached.values() for part in parts)
 
     @property
     def padding_m(self) -> float:
@@ -150,9 +164,8 @@ class SceneUpdates:
                 self._frames = None
         # Without transforms, the first frame that an object names is the planning frame from then on.
         frames = self._frames = self._frames or FixedFrames(self._parts)
-        state = check_mapping(or_else(content.get("robot_state"), {}), "robot_state")
-        for index, item in enumerate(sequence(or_else(state.get("attached_collision_objects"), ()), _ATTACHED)):
-            self._attach(check_mapping(item, f"{_ATTACHED}[{index}]"), f"{_ATTACHED}[{index}]")
+        for index, item in enumerate(attached_items(content)):
+            self._attach(item, f"{ATTACHED}[{index}]")
         for index, item in enumerate(sequence(or_else(world.get("collision_objects"), ()), _OBJECTS)):
             self._change(check_mapping(item, f"{_OBJECTS}[{index}]"), f"{_OBJECTS}[{index}]")
         octomap = check_mapping(or_else(world.get("octomap"), {}), "world.octomap")
@@ -160,9 +173,7 @@ class SceneUpdates:
         if tree.get("id") or _has_values(tree.get("data")):
             self._octomap = octomap
             self._read.pop("", None)
-        effective = {**self._parts, "robot_state": {"attached_collision_objects": list(self._attached.values())}}
-        effective_world = {"collision_objects": list(self._objects.values())}
-        check_parts(effective, effective_world, _OBJECTS, self._leave_out)
+        check_parts(self._parts, {"collision_objects": list(self._objects.values())}, _OBJECTS, self._leave_out)
         if "link_padding" in self._leave_out and any(
             not is_number(fields_of(item).get("padding", 0.0)) for item in self._parts["link_padding"]
         ):
@@ -181,13 +192,14 @@ class SceneUpdates:
         if operation_of(held) == "remove":
             # Without a name, all objects of the link.
             link = item.get("link_name")
-            on_link = [name for name, each in self._attached.items() if not link or each.get("link_name") == link]
+            on_link = [name for name, parts in self._attached.items() if not link or parts[0].frame == link]
             for name in [str(held["id"])] if held.get("id") else on_link:
                 self._attached.pop(name, None)
             return
         name = object_name(held, f"{where}.object")
-        self._attached[name] = item
         self._objects.pop(name, None)
+        if "attached_collision_objects" not in self._leave_out:
+            self._attached[name] = read_held(item, where, open_meshes=self._open_meshes)
 
     def _change(self, item: Mapping[str, Any], where: str) -> None:
         operation = operation_of(item)

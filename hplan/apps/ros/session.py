@@ -22,6 +22,7 @@ from hplan.online.planner import Planner
 from hplan.planning.options import EffortName, PlanOptions
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
+from hplan.scene.attached import Attached
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Obstacle
 from hplan.trajectory.trajectory import Trajectory
@@ -144,6 +145,7 @@ class Session:
         self.is_pending = False
         self.fault = ""
         self._from_messages: dict[str, Obstacle] = {}
+        self._attached = scene.attached
         self._before = _Belief(None, None)
         self._count = 0
 
@@ -152,20 +154,26 @@ class Session:
         """True while a command runs, as far as is known."""
         return self.sent is not None
 
-    def set_obstacles(self, obstacles: Sequence[Obstacle], padding_m: float = 0.0) -> None:
-        """Replace the obstacles that came from messages.
+    def set_obstacles(
+        self, obstacles: Sequence[Obstacle], padding_m: float = 0.0, attached: Sequence[Attached] = ()
+    ) -> None:
+        """Replace the obstacles and held objects that came from messages.
 
         Args:
             obstacles: The obstacles; those that stay the same objects keep all that was prepared for them.
             padding_m: Clearance required by the message [m].
+            attached: Objects that the arm holds in addition to those of the scene.
 
         Raises:
-            HplanError: Two obstacles have the same name.
+            HplanError: Two obstacles have the same name, or a held object does not fit the robot.
         """
         given = {item.name: item for item in obstacles}
         for name, known in self._from_messages.items():
             if given.get(name) is not known:
                 self.planner.remove(name)
+        held = (*self._attached, *attached)
+        if self.planner.scene.attached != held:
+            self.planner.hold(held)
         for name, item in given.items():
             if self._from_messages.get(name) is not item:
                 self.planner.add(item)

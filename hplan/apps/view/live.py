@@ -20,6 +20,7 @@ from hplan.apps.view.playback import playable
 from hplan.base.arguments import check_integer, instance, number
 from hplan.base.arrays import numbers
 from hplan.base.lazy_import import extra
+from hplan.collision.held_objects import holding
 from hplan.robot.model import Robot
 from hplan.scene.fruit import Fruit
 from hplan.scene.model import Scene
@@ -57,7 +58,7 @@ class LiveScene:
         with extra("viser", "a live view needs viser"):
             import viser
             from pinocchio.visualize import ViserVisualizer
-        robot, start = robot.about_start(scene.start)
+        robot, start = holding(robot, scene.attached).about_start(scene.start)
         self._robot = robot
         self.server: Any = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
         self.url = f"http://127.0.0.1:{self.server.get_port()}"

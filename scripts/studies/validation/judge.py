@@ -11,6 +11,7 @@ tick than both can travel until another, they do not touch there. A body travels
 
 from __future__ import annotations
 
+import copy
 import csv
 import itertools
 import math
@@ -239,6 +240,22 @@ class Arm:
         self._joined += [set(pair) for pair in may_touch]
         self._numbers = [int(self.model.getJointId(name)) for name in self.joints]
         self.last_joint = self.carrier(max(f.parentJoint for f in self.model.frames if f.name == tool_frame))
+
+    def holding(self, items: Sequence[tuple[Mapping[str, Any], str]]) -> Arm:
+        """The arm with obstacles fixed to frames: each as scenes list it, and the name of its frame."""
+        found = copy.copy(self)
+        for name in ("static", "farthest_apart", "own_pairs"):
+            vars(found).pop(name, None)
+        found.bodies = list(self.bodies)
+        for item, frame_name in items:
+            held, frame = JudgedObstacle(item), self.model.frames[self.model.getFrameId(frame_name)]
+            spheres = [held.place] if held.points is None else [held.place * pin.SE3(np.eye(3), p) for p in held.points]
+            for place in spheres:
+                at = frame.placement * place
+                box = _box_of(held.shape)
+                body = Body(held.name, held.name, frame.parentJoint, held.shape, held.shape, at, *box)
+                found.bodies.append(body)
+        return found
 
     def _use_base_frame(self, geometry: pin.GeometryModel) -> None:
         """Express all poses in `base_link` if the URDF has it; its root may be another link."""

@@ -137,9 +137,12 @@ def obstacle_of(item: Item) -> Any:
     return _MODEL.validate_json(json.dumps(item))
 
 
-def draw_obstacle(rng: np.random.Generator, name: str, kind: str, place: Callable[[float], FloatArray]) -> Item:
+def draw_obstacle(
+    rng: np.random.Generator, name: str, kind: str, place: Callable[[float], FloatArray],
+    sizes_m: tuple[float, float] = SIZES_M,
+) -> Item:  # fmt: skip
     """An obstacle of a kind and a random size; `place` maps the size to a position [m]."""
-    size = log_uniform(rng, *SIZES_M)
+    size = log_uniform(rng, *sizes_m)
     item: Item = {"name": name, "kind": kind}
     turn = rng.uniform(-180.0, 180.0, 3).tolist()
     if kind == "sphere":

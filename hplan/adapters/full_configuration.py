@@ -38,6 +38,9 @@ class FullConfigurations:
         Args:
             load: Loads the robot with held joints at the given values.
             names: Names of all active joints that hplan can hold or move.
+
+        Raises:
+            InputError: A joint of the arm is not among them.
         """
 
         @lru_cache(maxsize=_KEPT)
@@ -45,6 +48,8 @@ class FullConfigurations:
             return load(dict(held))
 
         self._load, self.names, self.robot = load_once, tuple(names), load_once(())
+        if missing := [name for name in self.robot.joint_names if name not in self.names]:
+            raise InputError(f"names of the active joints: expected {', '.join(missing)} too, got {list(self.names)}")
 
     def arm_at(self, values: ArrayLike) -> tuple[float, ...]:
         """Return the arm's part of a configuration, and hold the other joints at theirs.

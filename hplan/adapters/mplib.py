@@ -8,9 +8,9 @@ Source: https://github.com/haosulab/MPlib, `mplib/planner.py`.
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from hplan.planning.plan import plan
 from hplan.planning.pose_sequence import plan_poses
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot, load_robot
+from hplan.robot.urdf_xml import read_urdf_xml
 from hplan.scene.attached import Attached
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Obstacle, PointCloud
@@ -63,7 +64,7 @@ class Planner:
 
         Raises:
             RobotFileError: The URDF or the SRDF is missing or malformed.
-            InputError: The limits do not fit the move group.
+            InputError: The limits do not fit the move group, or a joint of it has no name in `user_joint_names`.
         """
         folders = [package_keyword_replacement] if package_keyword_replacement else []
 
@@ -72,7 +73,7 @@ class Planner:
             robot = load_robot(urdf, tool_frame=move_group, srdf=srdf or None, package_dirs=folders, hold=held)
             return with_limits(robot, velocity_limit=joint_vel_limits, acceleration_limit=joint_acc_limits)
 
-        root = ET.parse(urdf).getroot()
+        root = read_urdf_xml(Path(urdf))
         moving = [each for each in root.findall("joint") if each.get("type") in ("revolute", "continuous", "prismatic")]
         mimic = {each.get("name") for each in moving if each.find("mimic") is not None}
         self.user_link_names = list(user_link_names) or [link.attrib["name"] for link in root.findall("link")]

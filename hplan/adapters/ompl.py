@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, numbers
 from hplan.base.lazy_import import extra
 from hplan.planning.options import PlanOptions
 from hplan.planning.problem import Problem
@@ -48,9 +48,9 @@ class Validity(Record):
         >>> from hplan import load_robot, load_scene
         >>> from hplan.adapters.ompl import Validity
         >>> validity = Validity.of_scene(load_robot(), load_scene())
-        >>> validity.is_valid([0.0, 0.6, 0.7, 0.8])
+        >>> validity.is_valid([0.0, 0.6, 0.7])  # the scene locks the base's yaw
         True
-        >>> validity.is_valid_motion([0.0, 0.6, 0.7, 0.8], [0.1, 0.6, 0.7, 0.8])
+        >>> validity.is_valid_motion([0.0, 0.6, 0.7], [0.1, 0.6, 0.7])
         True
     """
 
@@ -75,9 +75,15 @@ class Validity(Record):
         return cls(problem.world, problem.start, problem.robot.locked_mask(scene.locked_joints))
 
     def configuration(self, state: Any) -> FloatArray:
-        """(dof,) configuration of a state."""
-        q = np.array(self.start)
-        q[self._axes] = [state[axis] for axis in range(len(self._axes))]
+        """(dof,) configuration of a state.
+
+        Raises:
+            InputError: A value is not finite, or a list or array has another number of values.
+        """
+        q, count = np.array(self.start), len(self._axes)
+        # OMPL's states have no length.
+        values = state if hasattr(state, "__len__") else [state[axis] for axis in range(count)]
+        q[self._axes] = numbers("state", values, (count,))
         return q
 
     def is_valid(self, state: Any) -> bool:

@@ -353,7 +353,8 @@ class Scene(StrictModel):
             if parent not in capsules:
                 raise fault(f"{parent!r} is not among the capsules", "obstacles", index, "parent")
         if self.wood is not None and not grown:
-            raise fault("no capsule has a parent; with_limbs(scene, wood) finds them, or --contact-force", "wood")
+            how = "with_limbs(scene, wood) finds them, or --contact-force" if capsules else "the scene has no capsules"
+            raise fault(f"no capsule has a parent; {how}", "wood")
         if grown and self.wood is not None:
             limits_by_segment(limbs_of(self.obstacles, self.wood), self.wood)
 

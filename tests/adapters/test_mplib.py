@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike
 from hplan.adapters import mplib
 from hplan.adapters.full_configuration import FullConfigurations
 from hplan.base.arrays import FloatArray
-from hplan.errors import InputError
+from hplan.errors import InputError, RobotFileError
 from hplan.robot.model import Robot, load_robot
 
 pytest.importorskip("cmeel", reason="example-robot-data is not installed (extra `robots`)")
@@ -156,3 +157,10 @@ def test_values_far_beyond_the_limits_are_not_clipped() -> None:
     full = FullConfigurations(lambda _: robot, robot.joint_names)
     assert full.arm_at([0.0, -0.005, 0.3, 0.2]) == (0.0, 0.0, 0.3, 0.2)
     assert full.arm_at([0.0, -1.0, 0.3, 3.0]) == (0.0, -1.0, 0.3, 3.0)
+
+
+def test_missing_files_and_joints_are_named(panda: Robot, tmp_path: Path) -> None:
+    with pytest.raises(RobotFileError, match="No such file"):
+        mplib.Planner(str(tmp_path / "none.urdf"), "panda_hand")
+    with pytest.raises(InputError, match="expected panda_joint1, "):
+        mplib.Planner(str(panda.urdf_path), "panda_hand", user_joint_names=["a", "b"])

@@ -10,6 +10,7 @@ from planned import post, task
 
 from hplan.adapters.ompl import Validity
 from hplan.certificate.configuration_check import check
+from hplan.errors import InputError
 from hplan.planning.finish import finish
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
@@ -47,6 +48,15 @@ def test_motion_between_valid_states_is_refused_in_contact(robot: Robot, around:
 def test_locked_joints_are_no_axes(robot: Robot, around: Scene) -> None:
     validity = Validity.of_scene(robot, around.with_values(locked_joints=("base_yaw",)))
     np.testing.assert_allclose(validity.configuration([0.1, 0.2, 0.3]), [np.radians(-40.0), 0.1, 0.2, 0.3])
+
+
+def test_states_must_be_finite_and_of_the_free_joints(robot: Robot, around: Scene) -> None:
+    validity = Validity.of_scene(robot, around)
+    for state in ([np.nan, 0.2, 0.3, 0.4], [0.1, 0.2, 0.3], [0.1, 0.2, 0.3, 0.4, 0.5]):
+        with pytest.raises(InputError, match="state"):
+            validity.is_valid(state)
+        with pytest.raises(InputError, match="state"):
+            validity.is_valid_motion(np.radians(START), state)
 
 
 def test_path_of_ompl_is_free_of_contact(robot: Robot, around: Scene) -> None:

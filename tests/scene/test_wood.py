@@ -201,8 +201,10 @@ def test_parents_must_be_capsules_of_the_scene() -> None:
 
 
 def test_limits_need_limbs() -> None:
-    with pytest.raises(SceneError, match="no capsule has a parent"):
+    with pytest.raises(SceneError, match="no capsule has a parent; with_limbs"):
         scene_of((TRUNK,))
+    with pytest.raises(SceneError, match="the scene has no capsules"):
+        scene_of(())
 
 
 def test_young_modulus_is_an_interval() -> None:

@@ -304,14 +304,12 @@ def scene_kept_upright(arguments: argparse.Namespace, scene: Scene) -> Scene:
     tilt, axis = getattr(arguments, "upright", None), getattr(arguments, "upright_axis", None)
     if tilt is None and axis is None:
         return scene
-    from hplan.scene.upright import Upright
-
     known = scene.upright
     if tilt is None and known is None:
         raise OptionError("--upright-axis", axis, "no value without --upright")
     given = {"max_tilt_deg": tilt} | {"axis": None if axis is None else tuple(axis)}
     kept = {key: value for key, value in given.items() if value is not None}
-    return scene.with_values(upright=Upright(**kept) if known is None else known.with_values(**kept))
+    return scene.with_values(upright=({} if known is None else known.model_dump()) | kept)
 
 
 def held_joints(arguments: argparse.Namespace) -> dict[str, float]:

@@ -118,9 +118,16 @@ def free_ends(
     robot: Robot, rng: np.random.Generator, obstacles: Sequence[Obstacle], extent: float
 ) -> tuple[FloatArray, FloatArray] | None:
     """(dof,) start and goal clear of obstacles, for an arm of this reach; None if too few draws are free."""
+    return free_ends_of(robot, rng.uniform(*_ranges(robot), (DRAWS, robot.dof)), obstacles, extent)
+
+
+def free_ends_of(
+    robot: Robot, drawn: FloatArray, obstacles: Sequence[Obstacle], extent: float
+) -> tuple[FloatArray, FloatArray] | None:
+    """The first two of (n, dof) configurations that are clear of obstacles and apart; None if there are none."""
     checker = CoalScene(robot, tuple(solid for obstacle in obstacles for solid in obstacle.solids))
     start = None
-    for q in rng.uniform(*_ranges(robot), (DRAWS, robot.dof)):
+    for q in drawn:
         if not (checker.pair_distances(q) - checker.required_distance(FREE_M) > 0.0).all():
             continue
         if start is None:

@@ -13,13 +13,12 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-from studies.arms import APART, FREE_M, _obstacles, _ranges, reach_of, scene_between
+from studies.arms import _obstacles, _ranges, free_ends_of, reach_of, scene_between
 from studies.harness import Row, Study, StudyConfig
 from studies.measure import planned, ratio
 from studies.outside import EVERY_S, contacts
 
 from hplan.base.arrays import FloatArray
-from hplan.collision.coal_scene import CoalScene
 from hplan.kinematics.damped_steps import UPRIGHT, solve_all
 from hplan.kinematics.inverse_kinematics import chain_of, with_direction
 from hplan.planning.options import PlanOptions
@@ -58,23 +57,15 @@ def _upright_ends(
     robot: Robot, rng: np.random.Generator, obstacles: list[Obstacle], extent: float, axis: tuple[float, float, float]
 ) -> tuple[FloatArray, FloatArray] | None:
     """(dof,) start and goal, upright and clear of obstacles; None if too few draws are."""
-    checker = CoalScene(robot, tuple(solid for obstacle in obstacles for solid in obstacle.solids))
     chain = with_direction(chain_of(robot, np.eye(4), UPRIGHT), np.array(axis))
     chain = chain._replace(free_turn=np.array([UPRIGHT, np.radians(ENDS_DEG)]))
     drawn = rng.uniform(*_ranges(robot), (DRAWS, robot.dof))
     upright, found = np.empty(drawn.shape), np.zeros(DRAWS, dtype=np.bool_)
     solve_all(drawn, chain, upright, found)
     low, high = _ranges(robot)
-    start = None
-    for q in upright[found]:
-        inside = (q >= low).all() and (q <= high).all()
-        if not inside or not (checker.pair_distances(q) - checker.required_distance(FREE_M) > 0.0).all():
-            continue
-        if start is None:
-            start = q
-        elif np.linalg.norm(np.subtract(*robot.tool_positions(np.array([start, q])))) >= APART * extent:
-            return start, q
-    return None
+    upright = upright[found]
+    inside = ((upright >= low) & (upright <= high)).all(axis=1)
+    return free_ends_of(robot, upright[inside], obstacles, extent)
 
 
 def largest_tilt_deg(robot: Robot, scene: Scene, motion: Trajectory) -> float:

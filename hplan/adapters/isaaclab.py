@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.adapters.full_configuration import FullConfigurations
-from hplan.adapters.poses import goal_at
 from hplan.adapters.sampling import states_every
 from hplan.base.arrays import FloatArray, numbers
 from hplan.base.log import LOG
 from hplan.errors import HplanError
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
+from hplan.planning.pose_goal import goal_at
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.scene.attached import Attached
@@ -88,7 +88,7 @@ class MotionPlanner:
             True if a certified motion was found.
 
         Raises:
-            InputError: The pose is not a matrix of this shape.
+            InputError: The pose is not a matrix of this shape, or not one of a pose.
         """
         del settings
         self.reset_plan()

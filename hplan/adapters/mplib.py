@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.adapters.full_configuration import FullConfigurations, with_limits
-from hplan.adapters.poses import goal_at, pose_of_row
+from hplan.adapters.poses import pose_of_row
 from hplan.adapters.sampling import states_every
 from hplan.base.arrays import FloatArray, numbers
 from hplan.errors import HplanError
 from hplan.geometry.rotation import rpy_of
 from hplan.planning.plan import plan
+from hplan.planning.pose_goal import goal_at
 from hplan.planning.pose_sequence import plan_poses
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot, load_robot

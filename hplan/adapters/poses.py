@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray, numbers
 from hplan.errors import InputError
 from hplan.geometry.rotation import quaternion_rotation
-from hplan.scene.model import Goal
 
 
 def pose_of_row(row: ArrayLike) -> FloatArray:
@@ -28,9 +26,3 @@ def pose_of_row(row: ArrayLike) -> FloatArray:
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = quaternion_rotation(np.roll(values[3:], -1).tolist()), values[:3]
     return pose
-
-
-def goal_at(pose: FloatArray) -> Goal:
-    """The goal of the tool frame at a (4, 4) pose in `base_link`."""
-    turn = pin.Quaternion(pose[:3, :3]).normalized().coeffs().tolist()
-    return Goal(position=tuple(pose[:3, 3].tolist()), quaternion_xyzw=tuple(turn))

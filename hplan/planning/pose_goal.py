@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
+import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, frozen
 from hplan.base.deadline import check_deadline
@@ -73,3 +74,18 @@ def goal_pose(goal: Goal) -> FloatArray:
     if goal.pose is None:
         raise InputError("expected a goal with position and quaternion_xyzw")
     return goal.pose
+
+
+def goal_at(pose: FloatArray) -> Goal:
+    """Return the goal of the tool frame at a (4, 4) pose in `base_link`.
+
+    Raises:
+        SceneError: Its upper left part is not a rotation.
+
+    Examples:
+        >>> from hplan.planning.pose_goal import goal_at
+        >>> goal_at(np.eye(4)).quaternion_xyzw
+        (0.0, 0.0, 0.0, 1.0)
+    """
+    turn = pin.Quaternion(pose[:3, :3]).coeffs().tolist()
+    return Goal(position=tuple(pose[:3, 3].tolist()), quaternion_xyzw=tuple(turn))

@@ -16,7 +16,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from hplan.base.arguments import number as checked_number
@@ -43,14 +42,14 @@ from hplan.planning.finish import given_path, scene_along
 from hplan.planning.motion import Motion, Plan, certified_trajectory
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task, plan_result
-from hplan.planning.pose_goal import configurations_at
+from hplan.planning.pose_goal import configurations_at, goal_at
 from hplan.planning.problem import Problem, merge_problems
 from hplan.planning.result import PlanResult
 from hplan.planning.solver import best_motion
 from hplan.planning.stages import Progress, no_progress, stage, stage_clock
 from hplan.robot.model import Robot
 from hplan.robot.upright import UprightTool
-from hplan.scene.model import QUATERNION_LENGTH, Goal, Scene
+from hplan.scene.model import QUATERNION_LENGTH, Scene
 from hplan.scene.upright import Upright
 from hplan.trajectory.spline import SplinePath
 
@@ -293,10 +292,9 @@ def _goes_on(task: _PoseTask, begin: FloatArray, number: int) -> bool:
 
 def _ends(task: _PoseTask, begin: FloatArray, number: int) -> FloatArray:
     """Collision-free configurations at a pose, the nearest first; errors as `configurations_at`."""
-    problem, pose = task.problem, task.poses[number]
-    quaternion = tuple(pin.Quaternion(pose[:3, :3]).coeffs().tolist())
-    goal = Goal(position=tuple(pose[:3, 3].tolist()), quaternion_xyzw=quaternion)
+    problem = task.problem
     with stage("grasps"):
+        goal = goal_at(task.poses[number])
         return configurations_at(problem.world, goal, begin, problem.scene.locked_joints)
 
 

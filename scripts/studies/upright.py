@@ -22,8 +22,9 @@ from hplan.base.arrays import FloatArray
 from hplan.kinematics.damped_steps import UPRIGHT, solve_all
 from hplan.kinematics.inverse_kinematics import chain_of, with_direction
 from hplan.planning.options import PlanOptions
+from hplan.planning.pose_goal import goal_at
 from hplan.robot.model import Robot, load_robot
-from hplan.scene.model import Goal, Scene
+from hplan.scene.model import Scene
 from hplan.scene.obstacles import Obstacle
 from hplan.scene.upright import Upright
 from hplan.trajectory.trajectory import Trajectory
@@ -47,9 +48,7 @@ def upright_scene(robot: Robot, seed: int, number: int) -> Scene:
         ends = _upright_ends(robot, rng, obstacles, extent, axis)
         if ends is not None:
             scene = scene_between(f"upright {robot.name} {seed}-{number}", *ends, obstacles)
-            pose = robot.forward_kinematics(ends[1])
-            quaternion = tuple(pin.Quaternion(pose[:3, :3]).coeffs().tolist())
-            goal = Goal(position=tuple(pose[:3, 3].tolist()), quaternion_xyzw=quaternion)
+            goal = goal_at(robot.forward_kinematics(ends[1]))
             return scene.with_values(goal=goal, upright=Upright(max_tilt_deg=TILT_DEG, axis=axis))
 
 

@@ -211,7 +211,8 @@ class ObstacleInTimeError(NotFoundError):
 
     Attributes:
         obstacle: Obstacle that blocks the best motion found.
-        at_s: Time of that contact [s]. Both attributes: None if only the base moves and there was no path to time.
+        at_s: Time of that contact [s]. Both are None if no obstacle is the reason, for
+            example if the torque exceeds its limit while the base tilts.
 
     Examples:
         >>> from hplan.errors import ObstacleInTimeError

@@ -19,6 +19,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray
 from hplan.certificate.certificate import Certificate, certify
 from hplan.certificate.start_state import start_state
+from hplan.collision.coal_scene import OwnContact
 from hplan.errors import HplanError, MovingObstacleError, ObstacleInTimeError, TimingError
 from hplan.planning.motion import Plan, Solver, best_of
 from hplan.planning.problem import Problem
@@ -144,9 +145,10 @@ class _TimedSearch:
                     raise
                 self.tried.append(f"{path}: {error.message}")
         if math.isinf(self.best_s) and self.first is not None:
-            certificate = self.first[1]
-            obstacle = None if certificate.nearest is None else certificate.nearest.obstacle
-            raise ObstacleInTimeError(obstacle, certificate.nearest_s, self.tried)
+            near, at_s = self.first[1].nearest, self.first[1].nearest_s
+            if near is None or isinstance(near, OwnContact):
+                raise ObstacleInTimeError(None, None, list(dict.fromkeys(self.tried)))
+            raise ObstacleInTimeError(near.obstacle, at_s, list(dict.fromkeys(self.tried)))
 
     def _scenes(self) -> Iterator[tuple[str, Scene]]:
         """Static scenes whose paths are tried, each with a description."""

@@ -100,7 +100,9 @@ class MovingField:
     def travel(self, from_s: float, to_s: float) -> float:
         """Maximum travel of the moving obstacles within an interval [m]."""
         clock = np.array([from_s, to_s])
-        return (to_s - from_s) * max(float(largest_interval_rates(*rates, clock)[0]) for rates in self._rates)
+        return (to_s - from_s) * max(
+            (float(largest_interval_rates(*rates, clock)[0]) for rates in self._rates), default=0.0
+        )
 
 
 class PathInTime:

@@ -49,6 +49,13 @@ def test_unchanged_folder_is_certified(done, capsys):
     assert told["tracking_error_rad"] == pytest.approx(np.radians(0.005))
 
 
+def test_scene_before_trajectory_is_told(done, tmp_path, capsys):
+    scene = tmp_path / "scene.yaml"
+    save_scene(load_scene("table-1"), scene)
+    assert cli.main(["certify", str(scene), str(done / "trajectory.csv")]) == 2
+    assert f"hplan certify {done / 'trajectory.csv'} {scene}" in " ".join(capsys.readouterr().err.split())
+
+
 def test_trajectory_without_report(done, capsys):
     status, report = said(capsys, done / "trajectory.csv")
     assert status == 0

@@ -287,3 +287,10 @@ def test_unknown_option_names_the_most_similar_one(capsys: pytest.CaptureFixture
     printed = capsys.readouterr().err
     assert "did you mean --effort for --efort?" in printed
     assert "for --zzz" not in printed
+
+
+def test_place_of_a_positional_argument_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["plan", "--scene", "orchard-row"])
+    assert caught.value.code == 2
+    assert "scene is given without --scene" in capsys.readouterr().err

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from any_arms import loaded_arm
 from arm_variants import least_by_coal
 from fitted_arms import box, fitted
 from planned import assert_within_limits, task
@@ -31,8 +32,9 @@ from hplan.planning.schedule import (
     room_to_change,
 )
 from hplan.robot.model import Robot
+from hplan.scene.attached import Attached
 from hplan.scene.fruit import Fruit
-from hplan.scene.model import Goal, Scene
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Sphere
 from hplan.scene.tracks import Track
 from hplan.trajectory.trajectory import Phase, scale_motion
@@ -262,6 +264,23 @@ def test_cells_that_are_clear_are_clear_all_the_time(robot):
         for time_s in row * STEP_S + np.linspace(-0.5 * STEP_S - spare_s, 0.5 * STEP_S + spare_s, 9):
             assert (field.field_at(max(time_s, 0.0)).clearance_along(cells.configurations[clear]) > 0.0).all()
     assert 0.3 < count / (12 * len(cells.configurations)) < 1.0
+
+
+def test_load_too_heavy_for_a_tilting_base_is_told_once_for_each_path(tmp_path_factory):
+    ur5 = loaded_arm("ur5", tmp_path_factory)
+    tilting = Track(
+        times_s=(0.0, 2.0), shifts_m=((0.0, 0.0, 0.0),) * 2, rpy_deg=((0.0, 0.0, 0.0), (60.0, 0.0, 0.0)),
+        about=(0.0, 0.0, 0.0),
+    )  # fmt: skip
+    bag = Attached(object=Sphere(name="bag", center=(0.0, 0.0, 0.1), radius=0.05), mass=9.0)
+    scene = Scene(
+        name="tilting", start=Start(joints_rad=(0.0, -1.5, 1.0, 0.0, 0.0, 0.0)),
+        goal=Goal(joints_rad=(1.0, -1.0, 1.2, 0.1, 0.0, 0.0)), base_track=tilting, attached=(bag,),
+    )  # fmt: skip
+    with pytest.raises(ObstacleInTimeError, match=r"torque reaches .* as the base tilts") as failed:
+        plan(ur5, scene, PlanOptions(effort="quick"))
+    assert failed.value.obstacle is None
+    assert len(failed.value.tried) == len(set(failed.value.tried))
 
 
 def test_uncertain_moving_obstacle_is_passed_with_more_clearance(robot):

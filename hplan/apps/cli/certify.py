@@ -41,6 +41,7 @@ from hplan.apps.cli.terminal import (
 )
 from hplan.base.files import is_folder
 from hplan.base.units import at_least_mm
+from hplan.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -98,6 +99,8 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         from hplan.trajectory.trajectory import read_csv
 
     path: Path = arguments.trajectory
+    if path.suffix in (".yaml", ".yml", ".json") and str(arguments.scene).endswith(".csv"):
+        raise InputError(f"the trajectory comes before the scene: hplan certify {arguments.scene} {path}")
     job = FinishedJob(path) if is_folder(path) else None
     given = load_scene(job.scene if arguments.scene is None and job is not None else arguments.scene)
     robot = robot_of(arguments, given, job)

@@ -49,8 +49,10 @@ class _Parser(argparse.ArgumentParser):
         if unknown:
             known = [name for action in self._actions for name in action.option_strings]
             wrong = [word.partition("=")[0] for word in unknown if word.startswith("-")]
-            near = {word: difflib.get_close_matches(word, known, 1) for word in wrong}
-            hints = [f"did you mean {names[0]} for {word}?" for word, names in near.items() if names]
+            places = {f"--{action.dest}": action.dest for action in self._actions if not action.option_strings}
+            hints = [f"{places[word]} is given without {word}" for word in wrong if word in places]
+            near = {word: difflib.get_close_matches(word, known, 1) for word in wrong if word not in places}
+            hints += [f"did you mean {names[0]} for {word}?" for word, names in near.items() if names]
             self.error("; ".join([f"unrecognized arguments: {' '.join(unknown)}", *hints]))
         return found
 

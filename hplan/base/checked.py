@@ -130,9 +130,11 @@ class StrictModel(BaseModel):
             return content
         names = cls._names()
         for key in content:
-            close = [] if key in names else get_close_matches(str(key), names, 1)
-            if close:
-                facts = {"message": f"unknown key; did you mean {close[0]!r}?", "below": (key,)}
+            if key in names:
+                continue
+            # A model that ignores unknown keys refuses misspelt ones.
+            if cls.model_config["extra"] == "forbid" or get_close_matches(str(key), names, 1):
+                facts = {"message": f"unknown key; {nearest_name(str(key), names)}", "below": (key,)}
                 raise PydanticCustomError("extra_forbidden", "{message}", facts)
         return {key: plain(value) for key, value in content.items()}
 

@@ -56,6 +56,13 @@ def test_scene_before_trajectory_is_told(done, tmp_path, capsys):
     assert f"hplan certify {done / 'trajectory.csv'} {scene}" in " ".join(capsys.readouterr().err.split())
 
 
+def test_folder_of_a_failed_job_tells_why_it_failed(tmp_path, capsys):
+    out = tmp_path / "out"
+    assert cli.main(["plan", "--robot", "panda", "--out", str(out), "--quiet"]) == 2
+    assert cli.main(["certify", str(out)]) == 2
+    assert "the job failed (InputError: start: expected 7 joint values" in " ".join(capsys.readouterr().err.split())
+
+
 def test_trajectory_without_report(done, capsys):
     status, report = said(capsys, done / "trajectory.csv")
     assert status == 0

@@ -174,7 +174,7 @@ def obstacle(text: str) -> str:
 
 
 BAD_CONTENT = {
-    "unknown key": ("colour: red\n", 5, "colour", "unknown key"),
+    "unknown key": ("colour: red\n", 5, "colour", "unknown key; there are format, name, robot, start"),
     "unknown key of an obstacle": (
         obstacle("name: b, kind: sphere, centre: [0, 0, 0], radius: 1"),
         7,

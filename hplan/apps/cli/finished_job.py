@@ -37,10 +37,13 @@ class FinishedJob:
             tours: Accept a tour's report too, if it is newer than a plan's.
 
         Raises:
-            InputError: The report is missing or malformed, or has no certificate with digests.
+            InputError: The report is missing or malformed, is that of a job that failed, or has no certificate with
+                digests.
         """
         self.path = max((folder / name for name in (REPORT, TOUR_REPORT)[: 1 + tours]), key=written_s)
         report = read_report(self.path)
+        if isinstance(error := report.get("error"), dict):
+            raise self._fault(f"the job failed ({error.get('kind')}: {error.get('message')})")
         certificate = report.get("certificate")
         numbers = ("tracking_error_rad", "tracking_delay_s", "sigmas")
         if (

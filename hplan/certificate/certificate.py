@@ -349,7 +349,7 @@ def certify(
         goal_contact=None if fruit is None else goal_contact,
         contacts=tuple(allowed),
         clear_until_s=None if violations else certificate.clear_until_s,
-        digests=Digests.compute(robot, scene, trajectory),
+        digests=Digests(robot, scene, trajectory),
     )
     if found.verified or scene.wood is None or not is_scene or not checker.has_limbs:
         return found

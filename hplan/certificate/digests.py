@@ -17,7 +17,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import coal
@@ -34,26 +34,47 @@ from hplan.scene.tracks import Sway, Track
 from hplan.trajectory.trajectory import Trajectory, as_table
 
 
-@dataclass(frozen=True)
 class Digests:
-    """Digests of the subjects of a certificate.
+    """Digests of the subjects of a certificate, each computed when it is first read.
 
-    Each is the text `sha256:` and 64 hexadecimal digits.
-
-    Attributes:
-        robot: Digest of the robot.
-        scene: Digest of the scene.
-        trajectory: Digest of the trajectory.
+    Each is the text `sha256:` and 64 hexadecimal digits. A motion that replaces another within milliseconds is followed
+    before anybody reads its digests. The subjects cannot change: their arrays are read-only.
     """
 
-    robot: str
-    scene: str
-    trajectory: str
+    def __init__(self, robot: Robot, scene: Scene, trajectory: Trajectory) -> None:
+        self._subjects = robot, scene, trajectory
 
-    @classmethod
-    def compute(cls, robot: Robot, scene: Scene, trajectory: Trajectory) -> Digests:
-        """Compute the digests of a robot, a scene and a trajectory."""
-        return cls(robot_digest(robot), scene_digest(scene), trajectory_digest(trajectory))
+    @cached_property
+    def robot(self) -> str:
+        """Digest of the robot."""
+        return robot_digest(self._subjects[0])
+
+    @cached_property
+    def scene(self) -> str:
+        """Digest of the scene."""
+        return scene_digest(self._subjects[1])
+
+    @cached_property
+    def trajectory(self) -> str:
+        """Digest of the trajectory."""
+        return trajectory_digest(self._subjects[2])
+
+    def as_dict(self) -> dict[str, str]:
+        """The digests by the names of their subjects."""
+        return {"robot": self.robot, "scene": self.scene, "trajectory": self.trajectory}
+
+    def __repr__(self) -> str:
+        return f"Digests({', '.join(f'{what}={digest!r}' for what, digest in self.as_dict().items())})"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Digests) and self.as_dict() == other.as_dict()
+
+    def __hash__(self) -> int:
+        return hash(tuple(self.as_dict().values()))
+
+    def __getstate__(self) -> dict[str, str]:
+        """The digests without their subjects."""
+        return self.as_dict()
 
 
 def trajectory_digest(trajectory: Trajectory) -> str:

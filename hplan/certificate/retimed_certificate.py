@@ -100,7 +100,7 @@ def certified_retiming(
         with_violations(certificate, rest_violations(robot, whole, {"ends": -1})),
         goal_contact=running.goal_contact,
         contacts=map_to_retimed(retimed, running.contacts),
-        digests=Digests.compute(robot, scene, whole),
+        digests=Digests(robot, scene, whole),
     )
     return CertifiedMotion(whole, certificate, float(whole.time[row]), retimed.off_path_m, robot, scene, retimed.clock)
 

@@ -708,15 +708,56 @@ class Planner:
         joints = self.robot.about(view).check_configuration(numbers("views", view, (self.robot.dof,)), "views")
         return joints, self.robot.forward_kinematics(joints, carried_by) @ pose
 
-    def aim(self, *, start: Start | None = None, goal: Goal | None = None) -> None:
-        """Change start or goal.
+    @overload
+    def aim(self, *, start: Start | None = None, goal: Goal | None = None) -> None: ...
+
+    @overload
+    def aim(
+        self,
+        *,
+        start: Start | None = None,
+        goal: Goal | None = None,
+        now: float,
+        at: float | None = None,
+        measured: ArrayLike | None = None,
+    ) -> CertifiedMotion: ...
+
+    def aim(
+        self,
+        *,
+        start: Start | None = None,
+        goal: Goal | None = None,
+        now: float | None = None,
+        at: float | None = None,
+        measured: ArrayLike | None = None,
+    ) -> CertifiedMotion | None:
+        """Change start or goal; with `now`, return what the arm can follow meanwhile.
+
+        That is the running motion up to `at`, and from there its fastest stop, as from `stop_at`: certified before any
+        motion to the new goal is known. Compute this motion with `replan(at=, now=)`, for example in another thread; if
+        it comes before `at`, follow it, and otherwise the stop (`use`).
+
+        Args:
+            start: The new start; None to keep it.
+            goal: The new goal; None to keep it.
+            now: Current time on the controller's clock [s]; None if no motion is running.
+            at: Start of the stop, by when the motion to the new goal should be known [s]; None for now.
+            measured: (dof,) current configuration of the arm, as for `replan`.
+
+        Returns:
+            The last motion with the stop; None without `now`.
 
         Raises:
             SceneError: The goal is a fruit that the scene does not have.
+            InputError, NotOnMotionError, OptionError: As for `stop_at`; or `at` or `measured` is given without `now`.
         """
+        for option, value in (("at", at), ("measured", measured)):
+            if value is not None and now is None:
+                raise OptionError(option, value, "None without `now`: no motion is running")
         changes: dict[str, Any] = {key: value for key, value in (("start", start), ("goal", goal)) if value is not None}
         with self._changing:
             self.scene = _with_changes(self.scene, changes)
+        return None if now is None else self.stop_at(now if at is None else at, now=now, measured=measured)
 
     def _room_m(self, scene: Scene, options: PlanOptions) -> float:
         """Distance within which points matter: clearance plus tracking displacement bound [m]."""
@@ -811,7 +852,7 @@ def _stopped_changes(last: PlanResult, motion: CertifiedMotion) -> dict[str, Any
     """Fields of a plan whose motion stops early: its task is to reach the stop."""
     problem, end = last.motion.problem, tuple(motion.trajectory.position[-1].tolist())
     scene = problem.scene.copy_unchecked({"goal": Goal(joints_rad=end)})
-    digests = Digests.compute(last.robot, scene, motion.trajectory)
+    digests = Digests(last.robot, scene, motion.trajectory)
     return {
         "grasp": None,
         "motion": replace(last.motion, problem=replace(problem, scene=scene)),

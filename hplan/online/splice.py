@@ -222,7 +222,7 @@ class RunningMotion:
         retimed = stop_motion(self.plan.trajectory, t, self._robot)
         motion = retimed.trajectory
         certificate = self._certificate(retimed, min(self.row, motion.samples - 1), rest=True)
-        certificate = replace(certificate, digests=Digests.compute(self._robot, self._scene, motion))
+        certificate = replace(certificate, digests=Digests(self._robot, self._scene, motion))
         parts_s = float(motion.time[retimed.row])
         robot, begins_s = self._robot, self.plan.begins_s
         return CertifiedMotion(
@@ -310,7 +310,7 @@ class RunningMotion:
         state = _state_at(self.plan.trajectory, self.row)
         scene = self._scene.starting_at(begins_s).copy_unchecked({"start": state})
         trajectory = replace(trajectory, takes_over_s=0.0)
-        certificate = replace(certificate, digests=Digests.compute(self._robot, scene, trajectory))
+        certificate = replace(certificate, digests=Digests(self._robot, scene, trajectory))
         transit = made.motion
         problem = replace(transit.problem, scene=scene, options=self._options)
         first = trajectory.cut_after(int(np.searchsorted(trajectory.time, phases[0].end_s - SAME_TIME)))

@@ -223,7 +223,7 @@ def plan_result(plan: Plan) -> PlanResult:
             goal_contact: GoalContact = "approach" if plan.others else "motion"
             contacts = goal_contacts(problem.robot, trajectory, fruit, goal_contact)
             certificate = replace(certificate, goal_contact=goal_contact, contacts=contacts)
-        certificate = replace(certificate, digests=Digests.compute(problem.robot, problem.scene, trajectory))
+        certificate = replace(certificate, digests=Digests(problem.robot, problem.scene, trajectory))
     return PlanResult(
         motion=plan.transit,
         trajectory=trajectory,

@@ -103,7 +103,7 @@ def certificate_report(certificate: Certificate, options: PlanOptions, scene: Sc
         **tilt_report(certificate, scene),
         **({"uncovered_links": list(certificate.uncovered_links)} if certificate.uncovered_links else {}),
         **attached_report(scene),
-        "digests": None if digests is None else vars(digests),
+        "digests": None if digests is None else digests.as_dict(),
         **({} if certificate.nearest_s is None else {"nearest_s": certificate.nearest_s}),
         **({} if until is None else {"clear_until_s": until if math.isfinite(until) else None}),
     }

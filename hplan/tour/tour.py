@@ -379,7 +379,7 @@ class TourPlanner:
             here = legs[-1].trajectory.position[-1]
         picked, dropped = _times(legs)
         trajectory = join_trajectories([leg.trajectory for leg in legs])
-        digests = Digests.compute(self.robot, self.scene, trajectory)
+        digests = Digests(self.robot, self.scene, trajectory)
         certificate = replace(all_of([leg.certificate for leg in legs]), digests=digests)
         return TourResult(
             order=tuple(picked),

@@ -557,7 +557,7 @@ def certify_between(cell: Cell, files: Mapping[str, Trajectory], options: PlanOp
     )
     return replace(
         with_violations(found, _not_compared(files, states, moving, (known_s, end_s))),
-        digests=Digests.compute(cell.robot, alone, motion),
+        digests=Digests(cell.robot, alone, motion),
     )
 
 

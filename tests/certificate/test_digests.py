@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import shutil
 from dataclasses import replace
 
@@ -115,13 +116,15 @@ def test_robot(robot, tmp_path):
 
 def test_plan_tour_and_certificate_carry_them(robot, scene, motion):
     result = hplan.plan(robot, scene)
-    expected = Digests.compute(robot, scene, result.trajectory)
+    expected = Digests(robot, scene, result.trajectory)
     assert result.certificate.digests == hplan.certify(robot, scene, result.trajectory).digests == expected
-    assert result.report["certificate"]["digests"] == vars(expected)
+    assert result.report["certificate"]["digests"] == expected.as_dict()
+    assert pickle.loads(pickle.dumps(expected)) == expected
+    assert len({expected, result.certificate.digests}) == 1
     fruit = Fruit(name="f", center=tuple(robot.tool_positions([0.3, 0.4, 0.5, 0.3]).tolist()), radius=0.04)
     orchard = Scene(name="o", start=scene.start, goal=scene.goal, fruits=(fruit,))
     tour = hplan.plan_tour(robot, orchard)
-    assert tour.report["certificate"]["digests"] == vars(Digests.compute(robot, orchard, tour.trajectory))
+    assert tour.report["certificate"]["digests"] == Digests(robot, orchard, tour.trajectory).as_dict()
 
 
 GRIPPER = (

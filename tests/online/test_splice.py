@@ -87,6 +87,33 @@ def test_motion_at_its_limits_is_left_without_a_stop(robot):
     assert speeds[first:-20].min() > 0.05
 
 
+def test_new_goal_returns_the_stop_to_follow_until_its_motion_is_known(robot):
+    planner, before = a_planner(robot)
+    aimed = planner.aim(goal=BACK, now=0.3, at=0.4)
+    assert planner.scene.goal == BACK
+    assert aimed.certificate.verified
+    assert aimed.parts_s == pytest.approx(0.4)
+    np.testing.assert_array_equal(aimed.trajectory.position[:101], before.trajectory.position[:101])
+    assert_clear(robot, planner.scene, between_rows(aimed.trajectory, np.arange(aimed.trajectory.samples), 1))
+    assert not aimed.trajectory.velocity[-1].any()
+    assert planner.last is before
+    assert planner.aim(now=0.3).parts_s == pytest.approx(0.3)
+    # In time, a motion takes over where the stop would begin; too late, it continues from the stop.
+    assert_spliced(robot, planner.scene, before, planner.replan(at=0.4, now=0.3))
+    planner.last = before
+    stopped = planner.use(aimed)
+    assert_spliced(robot, planner.scene, stopped, planner.replan(at=0.45, now=0.42))
+
+
+def test_new_goal_of_an_arm_at_rest_has_nothing_to_follow(robot):
+    planner, _ = a_planner(robot)
+    assert planner.aim(goal=BACK) is None
+    with pytest.raises(OptionError, match=r"at .* None without `now`"):
+        planner.aim(goal=BACK, at=0.3)
+    with pytest.raises(OptionError, match="measured"):
+        planner.aim(measured=[0.0, 0.0, 0.0, 0.0])
+
+
 def test_timeout_before_new_motion_is_planned(robot):
     planner, before = a_planner(robot)
     planner.aim(goal=BACK)
@@ -226,7 +253,7 @@ def test_planner_continues_after_a_stop_that_it_uses(robot: Robot) -> None:
     stop = planner.stop_at(0.4, now=0.2)
     used = planner.use(stop)
     assert used.phases[-1].end_s == stop.trajectory.duration < first.trajectory.duration
-    assert used.certificate.digests == Digests.compute(robot, used.scene, used.trajectory)
+    assert used.certificate.digests == Digests(robot, used.scene, used.trajectory)
     with pytest.raises(OptionError):
         planner.replan(at=stop.trajectory.duration + 0.1)
     end = planner.replan(at=stop.trajectory.duration, now=stop.trajectory.duration - 0.05)

@@ -205,7 +205,9 @@ class FinishedJob:
     def list_differences(self, digests: Digests | None) -> list[str]:
         """Names among robot, scene and trajectory whose digests differ from the report's."""
         saved = self.report["certificate"]["digests"]
-        return [] if digests is None else [what for what, digest in vars(digests).items() if saved.get(what) != digest]
+        return (
+            [] if digests is None else [what for what, digest in digests.as_dict().items() if saved.get(what) != digest]
+        )
 
 
 def _number(value: float | None) -> float:

@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     check_output_file(out, force=arguments.force)
     playback = Playback(trajectory)
     if job is not None:
-        differs = job.list_differences(Digests.compute(robot, scene, trajectory))
+        differs = job.list_differences(Digests(robot, scene, trajectory))
         for what in differs:
             errors.print(f"the {what} is not that of {job.path}", markup=False, soft_wrap=True)
         if differs:

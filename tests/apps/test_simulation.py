@@ -14,9 +14,10 @@ from planned import between_twigs, post, straight, task
 from script_loader import load_script
 from shapes import torus
 
+from hplan.apps.cli.main import main
 from hplan.apps.execution import simulation
 from hplan.apps.execution.simulated_arm import Plant
-from hplan.apps.execution.simulation import HOLD, Execution, RecordedMotion, execute, read_motion
+from hplan.apps.execution.simulation import HOLD, Execution, Pick, RecordedMotion, execute, read_motion
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import InputError
 from hplan.planar.family_reader import family_of
@@ -26,6 +27,7 @@ from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot, load_robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.file import load_scene, save_scene
+from hplan.scene.fruit import Fruit
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
 from hplan.trajectory.trajectory import Trajectory, read_csv, write_csv
@@ -105,6 +107,33 @@ def test_exported_reference_plan(robot: Robot, scene: Scene, planned: PlanResult
     assert result.position.shape == (len(result.time), robot.dof)
     assert result.time[-1] == pytest.approx(result.duration_s + HOLD, abs=2e-3)
     assert not result.position.flags.writeable
+
+
+@needs_mujoco
+def test_tour_takes_fruit_off_the_tree(tmp_path: Path) -> None:
+    """A certified tour touches nothing; the same motion without its picks strikes the fruit."""
+    scene = load_scene("tour")
+    save_scene(scene.with_values(fruits=scene.fruits[:4]), tmp_path / "four.yaml")
+    files = [str(tmp_path / "out"), str(tmp_path / "four.yaml")]
+    assert main(["tour", files[1], "--out", files[0], "--quiet"]) == 0
+    assert main(["execute", *files, "--quiet"]) == 0
+    assert main(["execute", str(tmp_path / "out" / "tour.csv"), files[1], "--quiet"]) == 5
+
+
+@needs_mujoco
+def test_picked_fruit_is_an_obstacle_before(robot: Robot) -> None:
+    """The hand sweeps through a fruit: a contact only if that happens before it may be touched."""
+    start, goal = (0.0, 0.5, 0.4, 0.2), (0.6, 0.5, 0.4, 0.2)
+    center = robot.tool_positions(np.array([0.3, 0.5, 0.4, 0.2])).tolist()
+    fruit = Fruit(name="apple", center=tuple(center), radius=0.04)
+    scene = Scene(name="sweep", start=Start(joints_rad=start), goal=Goal(joints_rad=goal), fruits=(fruit,))
+    motion = between_ends(robot, scene, 2.0)
+    (touch,) = execute(robot, scene, motion).contacts
+    assert execute(robot, scene, motion, picks=[Pick("apple", touch.time_s - 0.1, 1.0)]).contacts == ()
+    late = execute(robot, scene, motion, picks=[Pick("apple", touch.time_s + 0.1, 1.0)])
+    assert [contact.obstacle for contact in late.contacts] == ["apple"]
+    with pytest.raises(InputError, match="no fruit 'pear' to pick"):
+        execute(robot, scene, motion, picks=[Pick("pear", 0.5, 1.0)])
 
 
 # Faults are detected

@@ -3,7 +3,8 @@
 The arm is the robot's own URDF with torque motors; obstacles are solid bodies. A 1 kHz controller tracks the
 trajectory (inverse-dynamics feedforward, PD feedback). Trajectories of any planner are accepted. The simulated masses
 may differ from the controller's model, and its commands may be delayed. Given a tracking error, the command reports
-whether the joints stayed within it.
+whether the joints stayed within it. Fruit that a plan or tour picks may be touched from its approach on, and is then
+taken off the tree.
 
 With --bending, limbs of trees bend and fruit hangs on stalks. The command reports the force, stress and deflection of
 each limb that is touched, limbs that break and fruit that is knocked off; for a plan's folder next to the bounds of its
@@ -13,7 +14,7 @@ certificate.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
     from hplan.apps.cli.finished_job import FinishedJob
     from hplan.apps.execution.bending_wood import BendingTrees
-    from hplan.apps.execution.simulation import Execution, RecordedMotion
+    from hplan.apps.execution.simulation import Execution, Pick, RecordedMotion
     from hplan.apps.execution.tree_response import TreeResponse
     from hplan.robot.model import Robot
     from hplan.scene.model import Scene
@@ -80,6 +81,7 @@ class _Outcome(NamedTuple):
         scene: The scene.
         result: The execution.
         bounds: Bounds of the certificate for contacts with limbs and fruit.
+        picked: Picking time of each fruit [s].
         grasp_s: Time when the goal fruit is grasped [s].
         goal_bound_m: Bound of the goal fruit's displacement at that time [m]; None without one.
     """
@@ -87,6 +89,7 @@ class _Outcome(NamedTuple):
     scene: Scene
     result: Execution
     bounds: ContactBounds
+    picked: Mapping[str, float]
     grasp_s: float
     goal_bound_m: float | None
 
@@ -106,7 +109,15 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
 
     path: Path = arguments.trajectory
     job = FinishedJob(path, tours=True) if is_folder(path) else None
-    motion: Trajectory | RecordedMotion = read_motion(path) if job is None else job.trajectory()
+    motion: Trajectory | RecordedMotion
+    picked: Mapping[str, float] = {}
+    picks: Sequence[Pick] = ()
+    if job is None:
+        motion = read_motion(path)
+    else:
+        motion = job.trajectory()
+        shown = job.playback(motion)
+        picked, picks = shown.picked, job.picks(shown)
     scene = load_scene(job.scene if arguments.scene is None and job is not None else arguments.scene)
     robot = robot_of(arguments, scene, job)
     plant = Plant(arguments.mass_factor, 1e-3 * arguments.command_delay, arguments.bandwidth)
@@ -114,9 +125,10 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     for file, option in ((arguments.report, "--report"), (arguments.page, "--page")):
         if file is not None:
             check_output_file(file, option, force=arguments.force)
-    result = execute(robot, scene, motion, plant, trees)
+    result = execute(robot, scene, motion, plant, trees, picks=picks)
     outcome = _Outcome(
-        scene, result, _certified_bounds(job, robot, result.trees), _grasp_time(job, scene, motion),
+        scene, result, _certified_bounds(job, robot, result.trees), picked,
+        picked.get(scene.goal.fruit or "", float(motion.time[-1] - motion.time[0])),
         None if job is None else job.report["certificate"].get("goal_displacement_m"),
     )  # fmt: skip
     if arguments.page is not None:
@@ -183,14 +195,6 @@ def _joint_of(robot: Robot, link: str) -> int:
     return int(robot.model.frames[robot.frame_number(link)].parentJoint)
 
 
-def _grasp_time(job: FinishedJob | None, scene: Scene, motion: Any) -> float:
-    """Time when the goal fruit is grasped [s]: that of a job's report, else the end of the motion."""
-    end = float(motion.time[-1] - motion.time[0])
-    if job is None:
-        return end
-    return job.playback(motion).picked.get(scene.goal.fruit or "", end)
-
-
 def _write_page(robot: Robot, outcome: _Outcome, path: Path) -> None:
     """Write the animated page of the simulated motion."""
     from hplan.apps.view.page import write_page
@@ -199,7 +203,8 @@ def _write_page(robot: Robot, outcome: _Outcome, path: Path) -> None:
     result, words = outcome.result, _describe(outcome)
     bodies = None if result.trees is None else result.trees.motions
     verdict = result.ok, f"{words[0].upper()}{words[1:]}."
-    write_page(robot, outcome.scene, Playback(result.trajectory, bodies=bodies, outcome=verdict), path)
+    shown = Playback(result.trajectory, outcome.picked, bodies=bodies, outcome=verdict)
+    write_page(robot, outcome.scene, shown, path)
 
 
 def _execution_report(outcome: _Outcome) -> dict[str, Any]:

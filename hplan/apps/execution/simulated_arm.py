@@ -73,6 +73,7 @@ def mujoco_model(
     timestep_s: float,
     trees: BendingTrees | None = None,
     bending: Collection[str] | None = None,
+    picked: Collection[str] = (),
 ) -> tuple[Any, dict[int, str], WoodBodies | None]:
     """Build the MuJoCo model of the arm, with motors, among the obstacles.
 
@@ -83,6 +84,7 @@ def mujoco_model(
         timestep_s: Step of the simulation [s].
         trees: Properties of limbs that bend and fruit that hang; None for rigid ones.
         bending: Names of the limbs that bend, and of the fruit that hang; None for all.
+        picked: Names of fruit that is picked besides the goal fruit.
 
     Returns:
         The compiled `MjModel`, the obstacle's name by the number of each of its geometries, and the bodies of limbs and
@@ -104,9 +106,9 @@ def mujoco_model(
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     # Limbs that bend have no permitted depth.
     solids = (scene if trees is None else scene.copy_unchecked({"wood": None})).solids
-    depths = maximum_deflection(
-        robot, solids, scene.yield_links, () if scene.goal_fruit is None else scene.goal_fruit.hangs_from
-    )
+    goals = [fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit or fruit.name in picked]
+    hanging = {name for fruit in goals for name in fruit.hangs_from}
+    depths = maximum_deflection(robot, solids, scene.yield_links, hanging)
     pushing = () if depths is None else pushing_links(robot, scene.yield_links)
     _add_held(mujoco, spec, robot)
     for geom in spec.geoms:
@@ -266,8 +268,8 @@ class SimulatedArm:
     """An arm in MuJoCo among the obstacles and fruits of a scene.
 
     Joints are in the robot's order. Torques saturate at the motors' limits. Contacts with obstacles exert forces and
-    are recorded. A compliant obstacle exerts forces only beyond its permitted deflection; the obstacles that the
-    scene's goal fruit hangs from are compliant at all times. The simulation has no self-collisions and no ground. The
+    are recorded. A compliant obstacle exerts forces only beyond its permitted deflection; the obstacles that picked
+    fruit hangs from are compliant at all times. The simulation has no self-collisions and no ground. The
     arm is at the zero configuration until it is placed. With `trees`, limbs bend and fruit hang instead
     (`hplan.apps.execution.bending_wood`); contacts with them are not among `contacts` and `pushes`.
 
@@ -285,6 +287,7 @@ class SimulatedArm:
         *,
         trees: BendingTrees | None = None,
         bending: Collection[str] | None = None,
+        picked: Collection[str] = (),
     ) -> None:
         """Build the model.
 
@@ -294,6 +297,7 @@ class SimulatedArm:
             plant: Deviation of the simulated machine from the controller's model; None for an exact model.
             trees: Properties of limbs that bend and fruit that hang; None for rigid and yielding obstacles.
             bending: Names of the limbs that bend, and of the fruit that hang; None for all. Others are rigid.
+            picked: Names of fruit that is picked besides the goal fruit.
 
         Raises:
             InputError: MuJoCo is not installed, or a cloud has more than 2,000 balls.
@@ -305,8 +309,9 @@ class SimulatedArm:
         self.plant = Plant() if plant is None else plant
         self._mujoco = import_mujoco()
         self._model, self._obstacle_of, wood = mujoco_model(
-            self._mujoco, robot, scene, timestep_s=CONTROL_PERIOD / _SUBSTEPS, trees=trees, bending=bending
-        )
+            self._mujoco, robot, scene, timestep_s=CONTROL_PERIOD / _SUBSTEPS, trees=trees, bending=bending,
+            picked=picked,
+        )  # fmt: skip
         factor = np.full(self._model.nbody, self.plant.mass_factor)
         factor[[self._model.body(name).id for name in (() if wood is None else wood.body_names)]] = 1.0
         self._model.body_mass[:] *= factor

@@ -25,8 +25,9 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from pathlib import Path
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -43,7 +44,7 @@ from hplan.collision.held_objects import holding
 from hplan.errors import InputError, OptionError
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
-from hplan.scene.model import Scene, with_limbs
+from hplan.scene.model import Goal, Scene, with_limbs
 from hplan.trajectory.cubics import evaluate, hermite_pieces
 from hplan.trajectory.trajectory import Trajectory, check_units, joints_of_columns
 
@@ -229,8 +230,28 @@ class Execution(Record):
         return tuple(name for name, peak, limit in both if peak > limit)
 
 
+class Pick(NamedTuple):
+    """A fruit that a motion picks.
+
+    Attributes:
+        fruit: Name of the fruit.
+        touched_s: Time from which the hand may touch it: it hangs, but exerts no force [s].
+        picked_s: Time when it is taken off its stalk [s].
+    """
+
+    fruit: str
+    touched_s: float
+    picked_s: float
+
+
 def execute(
-    robot: Robot, scene: Scene, motion: Movement, plant: Plant | None = None, trees: BendingTrees | None = None
+    robot: Robot,
+    scene: Scene,
+    motion: Movement,
+    plant: Plant | None = None,
+    trees: BendingTrees | None = None,
+    *,
+    picks: Sequence[Pick] = (),
 ) -> Execution:
     """Execute a motion on a simulated arm among a scene's obstacles.
 
@@ -239,15 +260,17 @@ def execute(
 
     Args:
         robot: The arm; MuJoCo reads its URDF.
-        scene: The obstacles, start and goal. The goal fruit is left out.
+        scene: The obstacles, start and goal.
         motion: The motion; its joints are the robot's, in any order.
         plant: Deviation of the simulated machine from the controller's model; None for an exact model.
         trees: Properties of limbs that bend and fruit that hang, near the motion; None for rigid and yielding ones.
+        picks: The fruit that the motion picks, each an obstacle until it may be touched, as in a tour. Without any, the
+            goal fruit touches nothing.
 
     Raises:
-        InputError: MuJoCo is not installed; the motion has other joints than the robot, time that does not increase
-            or values that are not finite; the scene's start or goal does not fit the robot; a cloud has more than
-            2,000 balls.
+        InputError: MuJoCo is not installed; a fruit to pick is not in the scene; the motion has other joints than the
+            robot, time that does not increase or values that are not finite; the scene's start or goal does not fit the
+            robot; a cloud has more than 2,000 balls.
         MovingObstacleError: An obstacle of the scene moves.
         OptionError: An argument of another type.
         RobotFileError: MuJoCo refuses the URDF.
@@ -262,9 +285,16 @@ def execute(
     if trees is not None:
         instance("trees", trees, BendingTrees)
         scene = scene if scene.wood is not None else with_limbs(scene)
+    end = reference.position[-1] if goal is None else goal
+    if picks:
+        known = {fruit.name for fruit in scene.fruits}
+        unknown = next((pick.fruit for pick in picks if pick.fruit not in known), None)
+        if unknown is not None:
+            raise InputError(f"the scene has no fruit {unknown!r} to pick", fruit=unknown)
+        scene = scene.copy_unchecked({"goal": Goal(joints_rad=tuple(end.tolist()))})
     near = None if trees is None else find_near(robot, scene, reference.position)
-    arm = SimulatedArm(robot, scene, plant, trees=trees, bending=near)
-    return _track_reference(arm, reference, scene, start, reference.position[-1] if goal is None else goal)
+    arm = SimulatedArm(robot, scene, plant, trees=trees, bending=near, picked=[pick.fruit for pick in picks])
+    return _track_reference(arm, reference, scene, start, end, picks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,8 +343,9 @@ class _Reference:
 
 
 def _track_reference(
-    arm: SimulatedArm, reference: _Reference, scene: Scene, start: FloatArray | None, goal: FloatArray
-) -> Execution:
+    arm: SimulatedArm, reference: _Reference, scene: Scene, start: FloatArray | None, goal: FloatArray,
+    picks: Sequence[Pick],
+) -> Execution:  # fmt: skip
     """Track the reference and hold its end."""
     robot, plant = arm.robot, arm.plant
     duration = float(reference.time[-1])
@@ -332,9 +363,15 @@ def _track_reference(
     position = np.full_like(q_ref, np.nan)
     torque = np.zeros_like(q_ref)
     displacement: dict[str, float] = {}
+    changes = [(pick.touched_s, arm.ignore_contacts, pick.fruit) for pick in picks]
+    changes += [(pick.picked_s, arm.pass_through, pick.fruit) for pick in picks]
+    changes.sort(key=itemgetter(0), reverse=True)
     for k in range(len(clock)):
         if not arm.is_finite:
             break
+        while changes and changes[-1][0] <= clock[k] + 1e-9:
+            _, change, fruit = changes.pop()
+            change([fruit])
         position[k] = arm.position
         if arm.trees is not None:
             if k % _RECORD_TICKS == 0:
@@ -353,6 +390,7 @@ def _track_reference(
     resting = clock >= duration - 1e-9
     final = np.nan_to_num(np.abs(position[resting] - goal), nan=np.inf).max(axis=0)
     limit = robot.torque_limit
+    measured = frozenset() if arm.trees is None else arm.trees.measured
     # The goal counts as reached up to this error of a revolute [rad] or prismatic joint [m].
     goal_tolerance, goal_tolerance_m = math.radians(0.5), 0.005
     return Execution(
@@ -369,7 +407,7 @@ def _track_reference(
         peak_torque_nm=tuple(np.abs(torque).max(axis=0).tolist()),
         torque_limit_nm=tuple(limit.tolist()),
         saturated_s=float((np.abs(torque) > limit).any(axis=1).sum() * CONTROL_PERIOD),
-        nearest=_nearest_contact(robot, scene, position, set() if arm.trees is None else arm.trees.measured),
+        nearest=_nearest_contact(robot, scene, position, measured | {pick.fruit for pick in picks}),
         time=readonly(clock),
         position=readonly(position),
         reference=readonly(q_ref),

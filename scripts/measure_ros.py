@@ -34,6 +34,8 @@ from hplan.trajectory.trajectory import Trajectory
 #: Ends of the Panda's motion [rad], points of the judged motion, and points of a cloud.
 A, B = (0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785), (1.2, -0.3, 0.2, -1.9, 0.2, 1.7, 0.9)
 POINTS, CLOUD = 400, 100_000
+#: Most clouds that wait in a queue.
+WAITING = 10
 
 
 def panda_scene() -> Scene:
@@ -149,7 +151,7 @@ class ControllerPeer(Peer):
         self.node.create_subscription(String, "/hplan_planner/status", self._note, 100)
         self.states = self.node.create_publisher(JointState, "joint_states", 10)
         self.goals = self.node.create_publisher(JointState, "/hplan_planner/goal", 10)
-        self.clouds = self.node.create_publisher(PointCloud2, "points", 1)
+        self.clouds = self.node.create_publisher(PointCloud2, "points", WAITING)
         self.node.create_timer(0.01, self._update)
         fields = [{"name": axis, "offset": 4 * k, "datatype": 7, "count": 1} for k, axis in enumerate("xyz")]
         layout = {"height": 1, "width": CLOUD, "fields": fields, "point_step": 12, "row_step": 12 * CLOUD}
@@ -202,6 +204,7 @@ def _planner_words(folder: Path) -> tuple[str, ...]:
     file = save_scene(scene, folder / "plan.yaml")
     options = {"robot": "panda", "scene": file, "output": "topic", "speed": 0.25, "ahead_s": 0.25, "radius_m": 0.02}
     options |= {"growth_m": 0.02, "tracking_error": 0.005, "tracking_delay_s": 0.005, "points_reliable": "true"}
+    options["points_depth"] = WAITING
     return ("plan", "--ros-args", *(word for key, value in options.items() for word in ("-p", f"{key}:={value}")))
 
 
@@ -232,6 +235,7 @@ def measure_plan(folder: Path, count: int) -> list[float]:
             began = peer.see(ball, number)
             if peer.wait(lambda sent=sent: len(peer.motions) > sent, 2.0):  # type: ignore[misc]
                 found.append(1e3 * (peer.motions[sent][0] - began))
+                print(f"frame {number}: {found[-1]:.1f} ms", flush=True)
             peer.wait(lambda: False, 0.05)
             stops += any(event.get("kind") == "stop" for event in peer.events[kinds:])
             peer.see(nothing, number)

@@ -24,9 +24,10 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import Field
 
 from hplan.apps.ros.bag_cloud import cloud_points
 from hplan.apps.ros.controller import action_controller, topic_controller
@@ -71,6 +72,8 @@ class OutputOptions(Options):
         base_frame: Frame of the robot's base in `/tf`; empty for its root link.
         points_reliable: Whether clouds are requested without losses; no clouds then arrive from a camera that publishes
             with best effort.
+        points_depth: Maximum number of clouds that wait while a motion is planned; with 1, the newest replaces others
+            that wait. With more, none is skipped, and a reaction may be later.
         tf_tolerance_s: Maximum difference between the times of a cloud and of its transforms [s].
         replan: Whether clouds and planning scenes may change the running motion.
         fetch_scene: Whether the node asks `get_planning_scene` for the whole planning scene at the start.
@@ -83,6 +86,7 @@ class OutputOptions(Options):
     joint_prefix: str = ""
     base_frame: str = ""
     points_reliable: bool = False
+    points_depth: Annotated[int, Field(ge=1)] = 1
     tf_tolerance_s: NotNegative = 0.2
     replan: bool = True
     fetch_scene: bool = True
@@ -133,8 +137,8 @@ def make_node() -> Any:
             self.create_subscription(JointState, "joint_states", self.see_joints, sensor)
             policy = rclpy.qos.ReliabilityPolicy
             reliability = policy.RELIABLE if self.of_output.points_reliable else policy.BEST_EFFORT
-            newest = rclpy.qos.QoSProfile(depth=1, reliability=reliability)
-            self.create_subscription(PointCloud2, "points", self.see_points, newest)
+            waiting = rclpy.qos.QoSProfile(depth=self.of_output.points_depth, reliability=reliability)
+            self.create_subscription(PointCloud2, "points", self.see_points, waiting)
             self._watch_frames(rclpy)
             self.create_subscription(JointState, "~/goal", self.see_goal, DEPTH)
             self.create_subscription(PoseStamped, "~/goal_pose", self.see_goal_pose, DEPTH)

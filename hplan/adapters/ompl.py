@@ -14,6 +14,7 @@ Source: https://ompl.kavrakilab.org/stateValidation.html
 from __future__ import annotations
 
 import importlib
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -81,14 +82,17 @@ class Validity(Record):
             InputError: A value is not finite, or a list or array has another number of values.
         """
         q, count = np.array(self.start), len(self._axes)
-        # OMPL's states have no length.
+        # OMPL's states have no length. Planners ask for tens of thousands of them: the full check takes longer than the
+        # distances.
         values = state if hasattr(state, "__len__") else [state[axis] for axis in range(count)]
-        q[self._axes] = numbers("state", values, (count,))
+        if values is state or not all(map(math.isfinite, values)):
+            values = numbers("state", values, (count,))
+        q[self._axes] = values
         return q
 
     def is_valid(self, state: Any) -> bool:
         """True if a state keeps the required clearance."""
-        return self.world.field.spare_clearance(self.configuration(state)) > 0.0
+        return self.world.field.spare_clearance(self.configuration(state), MARGIN_M) > 0.0
 
     def is_valid_motion(self, first: Any, last: Any) -> bool:
         """True if the straight motion between two states is verified to keep the required clearance throughout."""

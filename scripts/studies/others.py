@@ -1,10 +1,10 @@
 """Motions of other planners: verdicts of `hplan ros judge` beside an outside judge.
 
-In the random scenes of `studies.arms`, OMPL's planners and roboplan plan a motion. OMPL checks configurations at
-MoveIt's default resolution; its path is simplified, filled in to `FILL_RAD` and timed by toppra. roboplan shortens and
-times its path itself. What a controller would receive is a `JointTrajectory` with positions and velocities at 100 Hz;
-it runs the cubics between them. Both judges look at these cubics: hplan at all times, with its shapes of the arm, and
-Pinocchio and coal every half millisecond, with the meshes of the URDF.
+In the random scenes of `studies.arms`, OMPL's planners and roboplan plan motions between random configurations. OMPL
+checks configurations at MoveIt's default resolution; its path is simplified, filled in to `FILL_RAD` and timed by
+toppra. roboplan shortens and times its path itself. What a controller would receive is a `JointTrajectory` with
+positions and velocities at 100 Hz; it runs the cubics between them. Both judges look at these cubics: hplan at all
+times, with its shapes of the arm, and Pinocchio and coal every half millisecond, with the meshes of the URDF.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ import functools
 import itertools
 import math
 from collections.abc import Iterable
+from typing import Any, TypeAlias
 
 import numpy as np
-from studies.arms import KINDS, random_scene
+from studies.arms import KINDS, free_ends, random_scene, reach_of, scene_between
 from studies.harness import Row, Study, StudyConfig
 from studies.outside import TimedMotion, _found, arm_of, obstacles_of
 from studies.peers import ompl_path, seed_ompl, toppra_motion, world_of
@@ -24,6 +25,7 @@ from studies.validation.judge import TICK_S, SampledMotion
 from hplan.apps.ros.joint_messages import from_joint_trajectory
 from hplan.apps.ros.judge import Judge, JudgeOptions, Verdict
 from hplan.base.arrays import FloatArray
+from hplan.planning.world import World
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Scene
 from hplan.trajectory.trajectory import Trajectory
@@ -33,8 +35,11 @@ ROBOTS, PLANNERS = ("panda", "ur5"), ("RRTConnect", "BITstar", "roboplan")
 #: MoveIt's default distance between checked configurations, as a fraction of the space's extent.
 MOVEIT_RESOLUTION = 0.005
 
+#: Motions of each planner in a scene.
+MOTIONS = 5
+
 #: CPU time to find a path [s]: BIT* uses all of it. Spacing of waypoints for toppra [rad]. Samples of a message [1/s].
-FIND_S, FILL_RAD, RATE_HZ = {"RRTConnect": 2.0, "BITstar": 0.3}, 0.1, 100.0
+FIND_S, FILL_RAD, RATE_HZ = {"RRTConnect": 0.5, "BITstar": 0.15}, 0.1, 100.0
 
 #: Distance that a refused motion must have to count as free [m], and the time around the refusal that is measured [s].
 SPARE_M, AROUND_S = 1e-3, 0.02
@@ -44,12 +49,16 @@ SPARE_M, AROUND_S = 1e-3, 0.02
 DECIDED_S = 60.0
 
 
-def _problems(config: StudyConfig) -> Iterable[tuple[str, int, str]]:
-    """Robot, number of the scene, and planner; roboplan takes no clouds."""
-    found = itertools.product(config.numbers, ROBOTS, PLANNERS)
+#: Robot, number of the scene, planner, and number of the motion.
+_Problem: TypeAlias = tuple[str, int, str, int]
+
+
+def _problems(config: StudyConfig) -> Iterable[_Problem]:
+    """The problems of the chosen planners and arms; roboplan takes no clouds."""
+    found = itertools.product(config.numbers, config.chosen(ROBOTS), config.chosen(PLANNERS), range(MOTIONS))
     return [
-        (robot, number, planner)
-        for number, robot, planner in found
+        (robot, number, planner, motion)
+        for number, robot, planner, motion in found
         if planner != "roboplan" or not KINDS[number % len(KINDS)][3]
     ]
 
@@ -60,19 +69,40 @@ def _robot(name: str) -> Robot:
 
 
 @functools.lru_cache(maxsize=1)
-def _scene(name: str, seed: int, number: int) -> Scene:
-    return random_scene(_robot(name), seed, number)
+def _scenes(name: str, seed: int, number: int) -> list[Scene]:
+    """A random scene with the ends of each motion; fewer if too few configurations are free."""
+    robot = _robot(name)
+    scene = random_scene(robot, seed, number)
+    found, rng = [scene], np.random.default_rng([seed, number, MOTIONS])
+    extent = reach_of(robot, rng)
+    for motion in range(1, MOTIONS):
+        ends = free_ends(robot, rng, scene.obstacles, extent)
+        if ends is not None:
+            found.append(scene_between(f"{scene.name}, {motion}", *ends, scene.obstacles))
+    return found
 
 
-def _motion(robot: Robot, scene: Scene, planner: str, seed: int) -> TimedMotion | None:
+@functools.lru_cache(maxsize=1)
+def _world(name: str, seed: int, number: int) -> World:
+    return world_of(_robot(name), _scenes(name, seed, number)[0])
+
+
+@functools.lru_cache(maxsize=1)
+def _roboplan(name: str, seed: int, number: int) -> Any:
+    from studies.roboplan_peer import RoboplanArm
+
+    return RoboplanArm(_robot(name), _scenes(name, seed, number)[0], seed + number + 1)
+
+
+def _motion(config: StudyConfig, scene: Scene, problem: _Problem) -> TimedMotion | None:
     """The motion of a planner; None if it finds none."""
-    start, goal = scene.start.configuration, scene.goal.configuration
+    name, number, planner, _ = problem
+    robot, goal = _robot(name), scene.goal.configuration
     if planner == "roboplan":
-        from studies.roboplan_peer import RoboplanArm
-
-        return RoboplanArm(robot, scene, seed).motion(start, goal)
+        motion: TimedMotion | None = _roboplan(name, config.seed, number).motion(scene.start.configuration, goal)
+        return motion
     seed_ompl(1)
-    world = world_of(robot, scene)
+    world = _world(name, config.seed, number)
     path = ompl_path(world, scene, goal, planner=planner, seconds=FIND_S[planner], resolution=MOVEIT_RESOLUTION)
     return None if path is None else toppra_motion(robot, _filled(path))
 
@@ -122,11 +152,14 @@ def _is_near(robot: Robot, scene: Scene, motion: Trajectory, verdict: Verdict) -
     return False
 
 
-def _row(config: StudyConfig, problem: tuple[str, int, str]) -> Row:
-    """Both judges on one motion of a planner."""
-    name, number, planner = problem
-    robot, scene = _robot(name), _scene(name, config.seed, number)
-    motion = _motion(robot, scene, planner, config.seed + number + 1)
+def _row(config: StudyConfig, problem: _Problem) -> Row | None:
+    """Both judges on one motion of a planner; None if the scene has too few free configurations."""
+    name, number, planner, chosen = problem
+    robot, scenes = _robot(name), _scenes(name, config.seed, number)
+    if chosen >= len(scenes):
+        return None
+    scene = scenes[chosen]
+    motion = _motion(config, scene, problem)
     row: Row = {"name": f"{name} {scene.name} {planner}", "planner": f"{planner}, {name}", "solved": motion is not None}
     if motion is None:
         return row
@@ -161,5 +194,5 @@ OTHERS = Study(
     by="planner",
     count=(200, 1),
     peers=(),
-    warm=1,
+    choices=(ROBOTS, PLANNERS),
 )

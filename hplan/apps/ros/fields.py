@@ -96,7 +96,7 @@ def _names_of(kind: Any) -> tuple[str, ...]:
 def column(messages: Sequence[Any], name: str) -> list[Any]:
     """Values of one field of many messages; None where a dictionary lacks it."""
     if messages and isinstance(messages[0], Mapping):
-        return [fields_of(each).get(name) for each in messages]
+        return [(each if type(each) is dict else fields_of(each)).get(name) for each in messages]
     return [getattr(each, name, None) for each in messages]
 
 

@@ -49,7 +49,7 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.deadline import check_deadline
 from hplan.base.kernels import kernel
 from hplan.certificate.motion_bound import at_rows, motion_of_movers, with_obstacles
-from hplan.collision.coal_boxes import box_separation, joints_as_pinocchio
+from hplan.collision.coal_boxes import PairBoxes, box_separation, joints_as_pinocchio
 from hplan.collision.coal_scene import CoalScene, Contact
 from hplan.collision.compiled_placements import place_joints
 from hplan.trajectory.cubics import cubic_at
@@ -177,8 +177,7 @@ class _Search(NamedTuple):
     mover_of: IntArray
     movers: FloatArray
     pairs: FloatArray
-    boxes: FloatArray
-    sides: IntArray
+    boxes: PairBoxes
     joints: FloatArray
     asked: IntArray
     q: FloatArray
@@ -262,10 +261,9 @@ class Advancement:
 
     @cached_property
     def _search(self) -> _Search:
-        boxes, sides = self._checker.boxes
         joints, bezier = joints_as_pinocchio(self._checker.robot), np.ascontiguousarray(self._bezier)
         room = np.zeros(len(self.mover_of), dtype=np.int64), np.zeros(bezier.shape[2])
-        return _Search(bezier, self.mover_of, self.movers, self.pairs, boxes, sides, joints, *room, self.shown)
+        return _Search(bezier, self.mover_of, self.movers, self.pairs, self._checker.boxes, joints, *room, self.shown)
 
     def first_query(self) -> Look:
         """The first query: the nearest pairs at the start, or all.
@@ -489,8 +487,8 @@ def _put_off_far(count: int, frames: FloatArray, work: FloatArray, place: tuple[
 
     Args:
         count: Number of pairs of the query.
-        frames: Frames of joints and base, as in `apart`.
-        work: Buffer, as in `apart`.
+        frames: Frames of joints and base, as in `box_separation`.
+        work: Buffer, as in `box_separation`.
         place: Place of the query, and the look-ahead fraction.
 
     Returns:
@@ -502,7 +500,7 @@ def _put_off_far(count: int, frames: FloatArray, work: FloatArray, place: tuple[
     left = 0
     for i in range(count):
         pair = search.asked[i]
-        bound = box_separation(frames, search.boxes, search.sides[pair], work) - taken_off[pair]
+        bound = box_separation(frames, search.boxes, pair, work) - taken_off[pair]
         spare_clearance = bound - (_linear(sway[mover_of[pair]], at) + kept[pair])
         shown = search.shown[int(all_pairs[7, pair])]
         if spare_clearance >= FAR and 0.5 * spare_clearance >= shown:

@@ -17,7 +17,7 @@ import numpy as np
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, TableArray
 from hplan.base.kernels import kernel
 from hplan.certificate.clearance_proof import Advancement, point_at
-from hplan.collision.coal_boxes import box_separation, joints_as_pinocchio
+from hplan.collision.coal_boxes import PairBoxes, box_separation, joints_as_pinocchio
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.compiled_placements import place_joints
 from hplan.scene.obstacle_kind import ContactLimit
@@ -115,10 +115,9 @@ def pushes_along(
         return
     search, rows = Advancement(bezier, checker, deviations, clearance, clock), len(bezier)
     (sway, travel), mover_of = search.movers, search.mover_of[pairs]
-    boxes, sides = checker.boxes
     nearer = np.broadcast_to(sway, travel.shape)
     asked, may_touch = _possible_contacts(
-        bezier, sides[pairs], boxes, joints_as_pinocchio(checker.robot), checker.taken_off[pairs], mover_of,
+        bezier, pairs, checker.boxes, joints_as_pinocchio(checker.robot), checker.taken_off[pairs], mover_of,
         _Movers(travel, np.ascontiguousarray(nearer)),
     )  # fmt: skip
     distances = np.full((rows + 1, len(pairs)), math.inf)
@@ -182,15 +181,15 @@ class _Movers(NamedTuple):
 
 @kernel
 def _possible_contacts(
-    bezier: FloatArray, sides: IntArray, boxes: TableArray, joints: TableArray, taken_off: FloatArray,
+    bezier: FloatArray, pairs: IntArray, boxes: PairBoxes, joints: TableArray, taken_off: FloatArray,
     mover_of: IntArray, movers: _Movers,
 ) -> tuple[BoolArray, BoolArray]:  # fmt: skip
     """Segments in which pairs may touch, by the lower bounds of their boxes' distances.
 
     Args:
         bezier: (rows, 4, dof) Bezier points of the motion.
-        sides: (k, 2) boxes of the pairs (`hplan.collision.coal_boxes`).
-        boxes: The boxes.
+        pairs: (k,) indices of the pairs.
+        boxes: Their boxes.
         joints: Joints from `joints_as_pinocchio`.
         taken_off: (k,) offsets subtracted from distances [m].
         mover_of: (k,) moving body of each pair.
@@ -200,19 +199,19 @@ def _possible_contacts(
         (rows + 1, k) mask of the pairs whose distance is required at a sample, and (rows, k) mask of the segments in
         which a pair may touch.
     """
-    rows, count, dof = bezier.shape[0], len(sides), bezier.shape[2]
+    rows, count, dof = bezier.shape[0], len(pairs), bezier.shape[2]
     asked, may_touch = np.zeros((rows + 1, count), dtype=np.bool_), np.zeros((rows, count), dtype=np.bool_)
     frames, work = np.empty((rows + 1, dof + 1, 12)), np.empty((2, 12))
     for row in range(rows + 1):
         place_joints(point_at(bezier, float(row)), joints, frames[row])
     for i in range(count):
         travel, nearer = movers.travel[mover_of[i]], movers.nearer[mover_of[i]]
-        row, bound = 0, box_separation(frames[0], boxes, sides[i], work) - taken_off[i]
+        row, bound = 0, box_separation(frames[0], boxes, pairs[i], work) - taken_off[i]
         while row < rows:
             following = row + 1
             while following < rows and travel[following + 1] - travel[row] <= bound - nearer[row]:
                 following += 1
-            after = box_separation(frames[following], boxes, sides[i], work) - taken_off[i]
+            after = box_separation(frames[following], boxes, pairs[i], work) - taken_off[i]
             if following == row + 1:
                 least = 0.5 * (bound + after - (travel[following] - travel[row]))
                 if least <= max(nearer[row], nearer[following]):

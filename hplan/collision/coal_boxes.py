@@ -3,6 +3,8 @@
 Each shape lies in an oriented box grown by a radius. Projected on the axes of one of two boxes, the other one lies in a
 box along these axes too, and the distance of two boxes with the same axes follows from their gap along each axis. This
 distance minus both radii is at most the distance of the two shapes; the bound is the larger one of the two projections.
+A cloud's box says little, as the floor and a branch overhead are in one: its points bound the distance, found in its
+tree of balls.
 `hplan.collision.compiled_placements` places the joints, so a query does not wait for Pinocchio.
 """
 
@@ -10,18 +12,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, IntArray, TableArray, frozen
-from hplan.base.kernels import kernel
+from hplan.base.kernels import inline, kernel
 from hplan.collision.coal_arm import ArmParts
 from hplan.collision.compiled_bodies import joint_table
 from hplan.collision.compiled_placements import place_joints
 from hplan.errors import RobotFileError
 from hplan.geometry.cloud import Cloud
+from hplan.geometry.vectors import Vector
 from hplan.robot.model import Robot, made_once
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 
@@ -38,8 +41,43 @@ BOX = np.dtype(
     align=True,
 )
 
+#: A ball of a cloud's tree at least this fraction of the minimum distance away is not opened, and bounds the distance.
+_NEARLY: Final = 0.9
+
 #: Radius of a box around an unbounded shape [m]: finite, so that an infinite distance may be subtracted from a bound.
 ANYWHERE: Final = 1e300
+
+
+class PairBoxes(NamedTuple):
+    """Boxes of all pairs of a checker, and the clouds in them.
+
+    Attributes:
+        boxes: (n,) the boxes.
+        sides: (pairs, 2) indices of both boxes of each pair.
+        trees: (n, 2) first node of the cloud in each box, and one past its last; the same if there is none.
+        nodes: (m, 7) trees of the clouds, as in `hplan.geometry.cloud.Cloud`, one after the other.
+        points: (k, 3) their points [m].
+    """
+
+    boxes: TableArray
+    sides: IntArray
+    trees: IntArray
+    nodes: FloatArray
+    points: FloatArray
+
+    @classmethod
+    def join(cls, bodies: TableArray, solids: Sequence[Solid], boxes: TableArray, sides: IntArray) -> PairBoxes:
+        """Join the boxes of an arm's bodies with those of solids, and the clouds among these."""
+        trees = np.zeros((len(bodies) + len(solids), 2), dtype=np.int64)
+        nodes, points, first, begin = [np.empty((0, 7))], [np.empty((0, 3))], 0, 0
+        for number, solid in enumerate(solids, start=len(bodies)):
+            if isinstance(solid, Cloud) and len(solid.tree):
+                trees[number] = first, first + len(solid.tree)
+                nodes.append(solid.tree + np.array([begin, begin, first, 0.0, 0.0, 0.0, 0.0]))
+                points.append(solid.core)
+                first, begin = first + len(solid.tree), begin + len(solid.core)
+        joined = frozen(np.concatenate([bodies, boxes]))
+        return cls(joined, sides, frozen(trees), frozen(np.concatenate(nodes)), frozen(np.concatenate(points)))
 
 
 @made_once
@@ -84,8 +122,6 @@ def boxes_about_solids(solids: Sequence[Solid], dof: int) -> TableArray:
             box["centre"], box["radius"] = solid.center, solid.radius
         elif type(solid) is Capsule:
             box["radius"] = solid.radius
-        elif isinstance(solid, Cloud) and len(solid.tree):
-            box["centre"], box["radius"] = solid.tree[0, 3:6], solid.tree[0, 6] + solid.rounding
         elif type(solid) is Box:
             box["rotation"], box["centre"] = solid.rotation.ravel(), solid.center
             box["half"] = [0.5 * size for size in solid.size]
@@ -120,32 +156,33 @@ def _stand_along(boxes: TableArray, capsules: Sequence[int], ends: FloatArray) -
 
 
 @kernel
-def lower_bounds(q: FloatArray, pairs: IntArray, sides: IntArray, boxes: TableArray, joints: TableArray) -> FloatArray:
+def lower_bounds(q: FloatArray, pairs: IntArray, boxes: PairBoxes, joints: TableArray) -> FloatArray:
     """(k,) lower bounds of the distances of pairs at a configuration [m].
 
-    `apart` computes each bound.
+    `box_separation` computes each bound.
 
     Args:
         pairs: (k,) indices of pairs.
-        sides: (pairs, 2) indices of both boxes of each pair.
         joints: Joints from `joints_as_pinocchio`.
     """
     frames, work, bounds = np.empty((len(q) + 1, 12)), np.empty((2, 12)), np.empty(len(pairs))
     place_joints(q, joints, frames)
     for i in range(len(pairs)):
-        bounds[i] = box_separation(frames, boxes, sides[pairs[i]], work)
+        bounds[i] = box_separation(frames, boxes, pairs[i], work)
     return bounds
 
 
 @kernel
-def box_separation(frames: FloatArray, boxes: TableArray, both: IntArray, work: FloatArray) -> float:
-    """Lower bound of two boxes' distance [m]; -`ANYWHERE` unless positive.
+def box_separation(frames: FloatArray, all_boxes: PairBoxes, pair: int, work: FloatArray) -> float:
+    """Lower bound of the distance of a pair [m]; -`ANYWHERE` unless positive.
 
     Args:
         frames: (dof + 1, 12) frames of joints and base, as `place_joints` writes them.
-        both: (2,) indices of the boxes.
+        all_boxes: The boxes of all pairs.
+        pair: Index of the pair.
         work: (2, 12) buffer for the rotations and centres of both.
     """
+    boxes, both = all_boxes.boxes, all_boxes.sides[pair]
     for side in range(2):
         box, placed = boxes[both[side]], work[side]
         frame, rotation, centre = frames[box.joint], box.rotation, box.centre
@@ -168,6 +205,48 @@ def box_separation(frames: FloatArray, boxes: TableArray, both: IntArray, work: 
             if beyond > 0.0:
                 square += beyond * beyond
         largest = max(largest, square)
+    largest = math.sqrt(largest)
+    first, end = all_boxes.trees[both[1]]
+    if first < end:
+        largest = max(largest, _cloud_separation(work[0], boxes[both[0]].half, all_boxes, first, end))
     # Rounding errors never make it too large.
-    gap: float = math.sqrt(largest) * (1.0 - 1e-12) - (boxes[both[0]].radius + boxes[both[1]].radius) - 1e-12
+    gap: float = largest * (1.0 - 1e-12) - (boxes[both[0]].radius + boxes[both[1]].radius) - 1e-12
     return gap if gap > 0.0 else -ANYWHERE
+
+
+@kernel
+def _cloud_separation(placed: FloatArray, half: FloatArray, all_boxes: PairBoxes, first: int, end: int) -> float:
+    """Lower bound of the distance of a placed box from a cloud's points, in the frame of the base [m].
+
+    Args:
+        placed: (12,) rotation and centre of the box.
+        half: (3,) its half sizes [m].
+        all_boxes: The clouds.
+        first: First node of the cloud.
+        end: One past its last node.
+    """
+    nodes, points = all_boxes.nodes, all_boxes.points
+    least, unopened, number = math.inf, math.inf, first
+    while number < end:
+        center = nodes[number, 3], nodes[number, 4], nodes[number, 5]
+        bound = _from_box(placed, half, center) - nodes[number, 6] * (1.0 + 1e-12)
+        following = int(nodes[number, 2])
+        if bound >= _NEARLY * least:
+            unopened, number = min(unopened, bound), following
+            continue
+        if following == number + 1:
+            for p in range(int(nodes[number, 0]), int(nodes[number, 1])):
+                least = min(least, _from_box(placed, half, (points[p, 0], points[p, 1], points[p, 2])))
+        number += 1
+    return min(least, unopened)
+
+
+@inline
+def _from_box(placed: FloatArray, half: FloatArray, point: Vector) -> float:
+    """Distance of a point from a placed box [m]."""
+    x, y, z = point[0] - placed[9], point[1] - placed[10], point[2] - placed[11]
+    square = 0.0
+    for i in range(3):
+        beyond = max(0.0, abs(placed[i] * x + placed[3 + i] * y + placed[6 + i] * z) - half[i])
+        square += beyond * beyond
+    return math.sqrt(square)

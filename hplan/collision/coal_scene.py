@@ -14,7 +14,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from hplan.base import ties
-from hplan.base.arrays import BoolArray, FloatArray, IntArray, TableArray, frozen
+from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.deadline import check_deadline
 from hplan.collision.coal_accuracy import distance_errors
 from hplan.collision.coal_arm import (
@@ -28,6 +28,7 @@ from hplan.collision.coal_arm import (
 )
 from hplan.collision.coal_boxes import (
     ANYWHERE,
+    PairBoxes,
     boxes_about,
     boxes_about_solids,
     joints_as_pinocchio,
@@ -486,11 +487,8 @@ class CoalScene:
         return self._geometry.distances_of(pairs) - self._taken_off[pairs]
 
     @cached_property
-    def boxes(self) -> tuple[TableArray, IntArray]:
-        """Bounding boxes of bodies and obstacles; (pairs, 2) box indices.
-
-        See `coal_boxes`.
-        """
+    def boxes(self) -> PairBoxes:
+        """Bounding boxes of bodies and obstacles; see `coal_boxes`."""
         parts, count, obstacles = self.parts, self.own_first, self._built["obstacles"]
         bodies = self.robot.cache(("boxes", *parts.key), lambda: boxes_about(parts))
         solids = boxes_about_solids(obstacles, self.robot.dof)
@@ -499,15 +497,14 @@ class CoalScene:
         mover, solid = np.divmod(np.arange(self._beyond.size), max(count, 1))
         of_own = parts.movers[0][len(parts.shapes) :]
         sides = np.concatenate([np.column_stack([mover, len(bodies) + solid]), of_own])
-        return frozen(np.concatenate([bodies, solids])), sides
+        return PairBoxes.join(bodies, obstacles, solids, sides)
 
     def lower_bounds(self, q: FloatArray, pairs: IntArray) -> FloatArray:
         """Lower bounds of some `pairs`' distances, (k,) indices -> (k,) [m].
 
         They are hundreds of times faster than the distances. For a moving obstacle they are huge negative numbers.
         """
-        boxes, sides = self.boxes
-        return lower_bounds(q, pairs, sides, boxes, joints_as_pinocchio(self.robot)) - self._taken_off[pairs]
+        return lower_bounds(q, pairs, self.boxes, joints_as_pinocchio(self.robot)) - self._taken_off[pairs]
 
     @property
     def taken_off(self) -> FloatArray:

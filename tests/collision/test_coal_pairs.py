@@ -109,6 +109,26 @@ def test_no_bound_is_above_the_distance_and_most_are_near_it(robot, kind, tmp_pa
     assert close > 0.8 * 20 * len(pairs)
 
 
+def test_bounds_of_clouds_are_those_of_their_points(robot):
+    rng = np.random.default_rng(4)
+    floor = rng.uniform((-3.0, -3.0, -1.6), (3.0, 3.0, -1.5), (4000, 3))
+    overhead = rng.normal((0.5, 0.3, 3.2), 0.05, (300, 3))
+    few = rng.uniform(1.0, 2.5, (5, 3))
+    clouds = [Cloud.from_points("all", np.vstack([floor, overhead]), 0.02), Cloud.from_points("few", few, 0.1)]
+    solids = [*others(rng), *clouds]
+    checker = CoalScene(robot, solids, growth=0.01, clearance=0.02)
+    pairs = np.arange(len(checker.pairs))
+    of_clouds = np.array([len(solids) - 2 <= second < len(solids) for _, second in checker.pairs])
+    errors, close = checker.distance_errors, 0
+    for q in rng.uniform(robot.lower, robot.upper, (20, robot.dof)):
+        distances = checker.pair_distances(q)
+        bounds = checker.lower_bounds(q, pairs)
+        assert (bounds <= distances + errors + 1e-6 * np.abs(distances)).all()
+        close += int((bounds > 0.7 * distances)[of_clouds].sum())
+    assert of_clouds.sum() >= 2
+    assert close > 0.8 * 20 * of_clouds.sum()
+
+
 @pytest.mark.parametrize("name", ["toy", "lift"])
 def test_robot_with_displaced_joints_gets_no_bounds(name, tmp_path_factory, monkeypatch):
     arm = loaded_arm(name, tmp_path_factory)

@@ -245,7 +245,7 @@ def test_planning_scenes_from_the_wire() -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["-p", "robt:=panda"], "did you mean 'robot'"),
+        (["-p", "robt:=panda"], "robt = 'panda': expected a parameter of this node; did you mean 'robot'"),
         (["-p", "clearance_m:=near"], "clearance_m"),
         (["-p", "robot:=harvester", "-p", "clearance_m:=-1.0"], "clearance_m"),
         (["-p", "robot:=nothing.urdf"], "nothing.urdf"),

@@ -251,6 +251,19 @@ def test_cloud_in_the_way_makes_the_arm_give_way(client: Client, controller: Con
         assert planning.wait("not planned")["message"]
 
 
+def test_no_cloud_is_skipped_if_they_may_wait(client: Client) -> None:
+    from sensor_msgs.msg import PointCloud2
+
+    words = (*SLOW, "-p", "output:=topic", "-p", "points_reliable:=true", "-p", "points_depth:=10")
+    with node_process("plan", "--ros-args", *words):
+        planning = Planning(client)
+        clouds = client.connect(client.node.create_publisher(PointCloud2, "points", 10))
+        for _ in range(8):  # in a frame that nobody knows: each is an event
+            clouds.publish(cloud(np.ones((20_000, 3)), "nowhere", client.node.get_clock().now().to_msg()))
+        planning.wait("cloud refused", 8)
+        client.node.destroy_publisher(clouds)
+
+
 def test_topic_output_and_stop_at_the_end(client: Client) -> None:
     from sensor_msgs.msg import JointState
     from trajectory_msgs.msg import JointTrajectory

@@ -97,16 +97,18 @@ def make_node() -> Any:
             self.verdicts = self.create_publisher(String, "~/verdict", DEPTH)
             sensor = rclpy.qos.qos_profile_sensor_data
             self.create_subscription(JointState, "joint_states", self.see_joints, sensor)
+            topics = []
             for topic, name in MOTIONS.items():
                 kind = find_message(name)
                 if kind is not None:
                     relay = self.create_publisher(kind, f"~/verified_{topic}", DEPTH)
-                    self.create_subscription(kind, f"~/{topic}", self._receiver(relay), DEPTH)
+                    topics.append(self.create_subscription(kind, f"~/{topic}", self._receiver(relay), DEPTH).topic_name)
             self.guard = None
             if self.of_relay.controller:
                 self.guard = _Guard(self, self.of_relay.controller)
             self.diagnostics = Diagnostics(self, of_node, self.state)
-            self.get_logger().info(f"judging motions of {robot.name!r}, joints {', '.join(robot.joint_names)}")
+            names = ", ".join(robot.joint_names)
+            self.get_logger().info(f"judging motions of {robot.name!r}, joints {names}, on {', '.join(topics)}")
 
         def warm_up(self, robot: Any) -> None:
             """Judge a motion once, so that the first verdict is as fast as the others."""

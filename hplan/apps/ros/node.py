@@ -137,7 +137,7 @@ def read_parameters(node: Any, *kinds: type[Options]) -> list[Any]:
     names = [field.name for kind in kinds for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
     for name in node._parameter_overrides:
         if name not in names and name not in ("use_sim_time", "start_type_description_service"):
-            raise OptionError(name, "a parameter", f"a parameter of this node; {nearest_name(name, names)}")
+            raise OptionError(name, _override(node, name), f"a parameter of this node; {nearest_name(name, names)}")
     found = []
     for kind in kinds:
         values, described = dict[str, Any](), describe_fields(kind)

@@ -138,15 +138,18 @@ def make_node() -> Any:
             policy = rclpy.qos.ReliabilityPolicy
             reliability = policy.RELIABLE if self.of_output.points_reliable else policy.BEST_EFFORT
             waiting = rclpy.qos.QoSProfile(depth=self.of_output.points_depth, reliability=reliability)
-            self.create_subscription(PointCloud2, "points", self.see_points, waiting)
+            clouds = self.create_subscription(PointCloud2, "points", self.see_points, waiting)
             self._watch_frames(rclpy)
-            self.create_subscription(JointState, "~/goal", self.see_goal, DEPTH)
+            goals = self.create_subscription(JointState, "~/goal", self.see_goal, DEPTH)
             self.create_subscription(PoseStamped, "~/goal_pose", self.see_goal_pose, DEPTH)
             self.create_service(Trigger, "~/plan", self.plan)
             self.create_service(Trigger, "~/stop", self.stop)
             self.diagnostics = Diagnostics(self, of_node, self.state)
             self.show(arm_markers(self.robot))
-            self.get_logger().info(f"planning for {self.robot.name!r}, joints {', '.join(self.robot.joint_names)}")
+            self.get_logger().info(
+                f"planning for {self.robot.name!r}, joints {', '.join(self.robot.joint_names)}; goals on "
+                f"{goals.topic_name}, clouds on {clouds.topic_name}"
+            )
 
         def now_s(self) -> float:
             """Time since the node's start [s]."""

@@ -194,25 +194,24 @@ class LongTrees(PathFinder):
         """
         found: dict[int, list[Path]] = {}
         seeds, queries = long_trees(problem)
-        left, most, grown = list(seeds), queries, 0
-        # Most pairs meet soon or take long: all grow to a part of the budget before any uses all of it.
-        for each in (queries // _EARLY, queries):
-            for seed in tuple(left):
-                is_second = math.isfinite(self.best_s)
-                path, evaluations = tree_to_any(problem, min(each, grown + most), seed, self.pairs)
-                if path is not None:
-                    left.remove(seed)
-                    found.setdefault(path.goal, []).append(path)
-                    if problem.effort.long_stops_early:
-                        yield (path,)
-                        if self.error is None and math.isfinite(self.best_s):
-                            bound = problem.with_goals(path.goal).least_duration
-                            # A second pair that takes about as long as this one did.
-                            most = max(_SHORT, 3 * evaluations // 2)
-                            is_second |= self.best_s <= FAR_FROM_BOUND * bound
-                if is_second:
-                    return
-            grown = each
+        met, most = set[int](), queries
+        for seed, before, after in _turns(seeds, problem.effort.long_pairs, queries):
+            if seed in met:
+                continue
+            is_second = math.isfinite(self.best_s)
+            path, evaluations = tree_to_any(problem, min(after, before + most), seed, self.pairs)
+            if path is not None:
+                met.add(seed)
+                found.setdefault(path.goal, []).append(path)
+                if problem.effort.long_stops_early:
+                    yield (path,)
+                    if self.error is None and math.isfinite(self.best_s):
+                        bound = problem.with_goals(path.goal).least_duration
+                        # A second pair that takes about as long as this one did.
+                        most = max(_SHORT, 3 * evaluations // 2)
+                        is_second |= self.best_s <= FAR_FROM_BOUND * bound
+            if is_second:
+                return
         for paths in found.values():
             if math.isfinite(self.best_s) or problem.effort.long_stops_early:
                 return
@@ -342,6 +341,17 @@ def long_trees(problem: Problem) -> tuple[range, int]:
     is_cloudy = any(solid.is_point_set for solid in problem.world.solids)
     first = effort.seed + effort.long_seed
     return range(first, first + pairs), effort.long_queries // 2 if is_cloudy else effort.long_queries
+
+
+def _turns(seeds: Sequence[int], together: int, queries: int) -> Iterator[tuple[int, int, int]]:
+    """The turns of pairs of long trees: seed, and distance queries before and after each turn.
+
+    Most pairs meet soon or take long: `together` pairs grow to a part of the budget before any of them uses all of it,
+    and all of it before the next ones begin.
+    """
+    for first in range(0, len(seeds), together):
+        for before, after in ((0, queries // _EARLY), (queries // _EARLY, queries)):
+            yield from ((seed, before, after) for seed in seeds[first : first + together])
 
 
 def describe_trees(problem: Problem) -> str:

@@ -5,6 +5,9 @@ approach to single-query path planning"). An edge extends as far as conservative
 close to the obstacle that blocks it, and no resolution has to be chosen. The cost depends on the obstacles between
 start and goal, not on the joint ranges: there is no grid.
 
+In a narrow passage nearly all extensions fail. A tree that is trapped there samples around its own nodes, and slides
+along the obstacles that stop it (compare Rodriguez et al. 2006, "An obstacle-based rapidly-exploring random tree").
+
 Samples come from a seeded generator and the effort is counted in distance queries, so that the same problem gives the
 same path on every machine. If no path is found, nothing is proved.
 """
@@ -18,6 +21,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import any_int, kernel
+from hplan.collision.compiled_clearance import body_slopes
 from hplan.collision.compiled_motions import shown_part, straight_piece
 from hplan.collision.compiled_obstacles import FieldArrays
 from hplan.kinematics.damped_steps import Chain, solve
@@ -45,6 +49,18 @@ LOOKS = any_int(64)
 #: problems sooner, but starve trees whose way leads far around.
 _TURN, _ASIDE, _SCALES = 12, 0.6, 7
 
+#: Fractions of failed extensions beyond which a tree slides along obstacles, and draws three of four samples around its
+#: nodes, within 1 rad, half of it, and so on, at a number of scales. The fraction is a moving average; the last
+#: extension has this weight.
+_SLIDING, _TRAPPED, _LOCAL_SCALES, _LAST = 0.7, 0.9, any_int(3), 0.02
+
+#: Clearance below which a body keeps off when a tree slides, and the clearance that it heads for [m]; number of bodies,
+#: the nearest first; and the cost of the gradients, in distance queries.
+_SLIDE_NEAR, _SLIDE_CLEAR, _SLIDE_BODIES, _SLIDE_LOOKS = 0.05, 0.04, any_int(2), any_int(3)
+
+#: Spreads consecutive numbers evenly over the nodes: the golden ratio.
+_GOLDEN = 0.6180339887498949
+
 #: Maximum distance of a sample beyond start and goals in any joint [rad, m].
 _FAR_SAMPLE = 4.0 * np.pi
 
@@ -56,11 +72,13 @@ class Tree(NamedTuple):
         points: (capacity, dof) configurations.
         parents: (capacity,) numbers of the parent nodes.
         size: (1,) number of nodes.
+        failed: (1,) moving average of the fraction of failed extensions toward samples.
     """
 
     points: FloatArray
     parents: IntArray
     size: IntArray
+    failed: FloatArray
 
 
 class Pair(NamedTuple):
@@ -111,11 +129,15 @@ class Surroundings(NamedTuple):
         metric: Distances and lengths of edges.
         field: Arm and obstacles.
         margin: Clearance required beyond the scene's own during motions [m].
+        lower: (dof,) lower ends of the samples' box.
+        upper: (dof,) upper ends of the samples' box.
     """
 
     metric: Metric
     field: FieldArrays
     margin: float
+    lower: FloatArray
+    upper: FloatArray
 
 
 def tree_path(
@@ -144,7 +166,7 @@ def tree_path(
     known = None if pairs is None else pairs.pop(key, None)
     chain = upright_chain(problem)
     metric = displacement_metric(problem) if len(chain) == 0 else upright_metric(problem)
-    arm = Surroundings(metric, problem.field.arrays, margin)
+    arm = Surroundings(metric, problem.field.arrays, margin, *_sample_box(problem, ends))
     if known is None:
         generator, nothing = np.random.Generator(np.random.PCG64(seed)), np.zeros((0, len(problem.start)))
         looks = np.zeros(2, dtype=np.int64)
@@ -154,7 +176,7 @@ def tree_path(
     path = None
     while path is None and looks[0] > 0 and max(first.size[0], second.size[0]) < _MOST_NODES - _CHUNK:
         if looks[1] == len(samples):
-            samples, looks[1] = _samples(generator, problem, ends), 0
+            samples, looks[1] = _samples(generator, problem, ends, arm), 0
         joined = _grow(samples, first, second, arm, chain, looks)
         check_deadline()
         if joined[0] >= 0:
@@ -181,13 +203,20 @@ def upright_metric(problem: Problem) -> Metric:
     return Metric(frozen(1.0 / problem.robot.velocity_limit), UPRIGHT_EDGE_S, _LEAST_S)
 
 
-def _samples(generator: np.random.Generator, problem: Problem, goals: FloatArray) -> FloatArray:
+def _sample_box(problem: Problem, goals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Lower and upper ends of the samples' box, (dof,) each: the joint limits, at most `_FAR_SAMPLE` away."""
+    first, last = np.minimum(problem.start, goals.min(axis=0)), np.maximum(problem.start, goals.max(axis=0))
+    lower, upper = np.maximum(problem.lower[0], first - _FAR_SAMPLE), np.minimum(problem.upper[0], last + _FAR_SAMPLE)
+    return frozen(lower), frozen(upper)
+
+
+def _samples(generator: np.random.Generator, problem: Problem, goals: FloatArray, arm: Surroundings) -> FloatArray:
     """(_CHUNK, dof) samples: anywhere, some near start and goals.
 
     Of `_TURN` samples one is in the box of start and goals, and one around start or a goal at all scales.
     """
     first, last = np.minimum(problem.start, goals.min(axis=0)), np.maximum(problem.start, goals.max(axis=0))
-    lower, upper = np.maximum(problem.lower[0], first - _FAR_SAMPLE), np.minimum(problem.upper[0], last + _FAR_SAMPLE)
+    lower, upper = arm.lower, arm.upper
     samples: FloatArray = generator.random((_CHUNK, len(lower)))
     low, high = np.maximum(first - _ASIDE, lower), np.minimum(last + _ASIDE, upper)
     between, around = slice(_TURN // 3, None, _TURN), slice(2 * _TURN // 3, None, _TURN)
@@ -203,7 +232,8 @@ def _samples(generator: np.random.Generator, problem: Problem, goals: FloatArray
 def _tree(roots: FloatArray) -> Tree:
     """A tree with roots alone, each its own parent."""
     count, dof = roots.shape
-    tree = Tree(np.empty((_MOST_NODES, dof)), np.zeros(_MOST_NODES, dtype=np.int64), np.array([count], dtype=np.int64))
+    parents, size = np.zeros(_MOST_NODES, dtype=np.int64), np.array([count], dtype=np.int64)
+    tree = Tree(np.empty((_MOST_NODES, dof)), parents, size, np.zeros(1))
     tree.points[:count], tree.parents[:count] = roots, np.arange(count)
     return tree
 
@@ -227,7 +257,15 @@ def _grow(
         looks[1] += 1
         forward = first.size[0] <= second.size[0]
         tree, towards = (first, second) if forward else (second, first)
-        new = _extend(tree, _nearest_node(tree, samples[s], arm), samples[s], arm, chain, looks)
+        sample = samples[s]
+        if tree.failed[0] > _TRAPPED and s % (_TURN // 3) != 0:
+            _move_near_node(tree, s, sample, arm)
+        near = _nearest_node(tree, sample, arm)
+        new = _extend(tree, near, sample, arm, chain, looks)
+        if tree.failed[0] > _SLIDING:
+            slid = _slide(tree, new if new >= 0 else near, sample, arm, chain, looks)
+            new = slid if slid >= 0 else new
+        tree.failed[0] += _LAST * ((1.0 if new < 0 else 0.0) - tree.failed[0])
         if new < 0:
             continue
         target = tree.points[new]
@@ -242,6 +280,51 @@ def _grow(
             joined[0], joined[1] = (new, here) if forward else (here, new)
             break
     return joined
+
+
+@kernel
+def _move_near_node(tree: Tree, number: int, sample: FloatArray, arm: Surroundings) -> None:
+    """Move a sample of the whole joint range into a box around a node, chosen by the sample's number."""
+    node = tree.points[int((number * _GOLDEN) % 1.0 * tree.size[0])]
+    scale = 0.5 ** (number // _TURN % _LOCAL_SCALES)
+    for i in range(len(sample)):
+        lower, upper = arm.lower[i], arm.upper[i]
+        if upper > lower:
+            offset = 2.0 * (sample[i] - lower) / (upper - lower) - 1.0
+            sample[i] = min(upper, max(lower, node[i] + scale * offset))
+
+
+@kernel
+def _slide(
+    tree: Tree, node: int, target: FloatArray, arm: Surroundings, chain: Chain | tuple[()], looks: IntArray
+) -> int:
+    """Extend a tree from a node toward a target, along the nearest obstacles; the new node, or -1.
+
+    The target is moved by as little as possible, to first order, so that the bodies nearest to the obstacles get clear
+    of them.
+    """
+    q, field, weight = tree.points[node], arm.field, arm.metric.weight
+    count, dof = len(field.bodies) + len(field.pairs), len(q)
+    clear, slopes, along = np.empty(count), np.empty((count, dof)), np.empty(dof)
+    body_slopes(q, field, np.arange(dof), _SLIDE_NEAR, clear, slopes)
+    looks[0] -= _SLIDE_LOOKS
+    for i in range(dof):
+        along[i] = target[i]
+    is_moved = False
+    for _ in range(_SLIDE_BODIES):
+        nearest = int(np.argmin(clear))
+        missing, square = _SLIDE_CLEAR - clear[nearest], 0.0
+        for i in range(dof):
+            missing -= slopes[nearest, i] * (along[i] - q[i])
+            square += (slopes[nearest, i] / weight[i]) ** 2
+        if clear[nearest] < _SLIDE_NEAR and square > 0.0 and missing > 0.0:
+            is_moved = True
+            for i in range(dof):
+                along[i] += missing * slopes[nearest, i] / weight[i] ** 2 / square
+        clear[nearest] = np.inf
+    for i in range(dof):
+        along[i] = min(arm.upper[i], max(arm.lower[i], along[i]))
+    return _extend(tree, node, along, arm, chain, looks) if is_moved else -1
 
 
 @kernel

@@ -23,7 +23,7 @@ from hplan.planning.result import PlanResult
 from hplan.scene import Goal, Scene, Wood, load_scene, with_limbs
 
 #: Fruits whose quickest motion pushes limbs.
-PUSHING = ("fruit 16",)
+PUSHING = ("fruit 36",)
 
 
 @cache

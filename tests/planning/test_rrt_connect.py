@@ -13,11 +13,22 @@ from planned import problem_between
 import hplan.planning.path_finder
 from hplan.base.arrays import FloatArray
 from hplan.collision.coal_scene import CoalScene
+from hplan.collision.compiled_clearance import body_slopes
 from hplan.optimization.shortcut import shorten
 from hplan.optimization.smooth_path import START_SHORTCUTS
 from hplan.planning.path_finder import LongTrees, Path, long_trees, path_time, straight_path, tree_paths
 from hplan.planning.problem import Problem
-from hplan.planning.rrt_connect import EDGE_M, Pairs, displacement_metric, tree_path
+from hplan.planning.rrt_connect import (
+    EDGE_M,
+    Pairs,
+    Surroundings,
+    _extend,
+    _move_near_node,
+    _slide,
+    _tree,
+    displacement_metric,
+    tree_path,
+)
 from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene import Box, Scene
@@ -87,6 +98,75 @@ def test_trees_grown_in_steps_equal_trees_grown_in_one_call(blocked: tuple[Probl
     assert not pairs
 
 
+def slot(robot: Robot) -> Problem:
+    """A straight arm between two plates, with 1.5 mm of room on either side of its second link."""
+    goal, shoulder = np.array([0.0, 0.4, 0.0, 0.0]), np.array([0.0, 0.0, 0.6])
+    along = robot.forward_kinematics(goal)[:3, 3] - shoulder
+    along /= np.linalg.norm(along)
+    middle, normal = shoulder + 1.75 * along, np.array([-along[2], 0.0, along[0]])
+    plates = [
+        Box(
+            name=name, center=tuple(middle + side * (0.083 / 2.0 + 0.02) * normal), size=(1.1, 0.3, 0.04),
+            rpy_deg=(0.0, float(-np.degrees(np.arcsin(along[2]))), 0.0),
+        )
+        for name, side in (("above", 1.0), ("below", -1.0))
+    ]  # fmt: skip
+    return problem_between(World.build(robot, plates), np.array([0.9, 1.2, 0.6, 0.3]), goal)
+
+
+def test_trapped_trees_slide_out_of_a_slot(robot: Robot) -> None:
+    """Without sliding and samples near nodes, four of these five pairs need more than 20,000 distance queries."""
+    problem = slot(robot)
+    for seed in range(5):
+        path = path_of(problem, 6_000, seed)
+        assert path is not None
+        assert problem.field.is_clear(path, 0.5 * MARGIN)
+
+
+def test_sliding_keeps_off_the_nearest_bodies(robot: Robot) -> None:
+    """Compared with NumPy at random configurations: the new node is on the way to the moved target."""
+    problem, rng, slid = slot(robot), np.random.default_rng(3), 0
+    metric = displacement_metric(problem)
+    arm = Surroundings(metric, problem.field.arrays, MARGIN, problem.lower[0], problem.upper[0])
+    joints = np.arange(robot.dof)
+    while slid < 20:
+        q = np.clip(problem.goal + rng.normal(0.0, 0.02, robot.dof), robot.lower, robot.upper)
+        if problem.field.spare_clearance(q) < 1e-3:
+            continue
+        target = rng.uniform(robot.lower, robot.upper)
+        clear, slopes = np.empty(problem.field.count), np.empty((problem.field.count, robot.dof))
+        body_slopes(q, problem.field.arrays, joints, 0.05, clear, slopes)
+        along = target.copy()
+        for body in np.argsort(clear)[:2]:
+            missing, scaled = 0.04 - clear[body] - slopes[body] @ (along - q), slopes[body] / metric.weight
+            if clear[body] < 0.05 and scaled.any() and missing > 0.0:
+                along += missing * scaled / metric.weight / (scaled @ scaled)
+        along = np.clip(along, robot.lower, robot.upper)
+        tree, other = _tree(q[None]), _tree(q[None])
+        node = _slide(tree, 0, target, arm, (), np.array([1_000, 0]))
+        expected = _extend(other, 0, along, arm, (), np.array([1_000, 0])) if (along != target).any() else -1
+        assert node == expected
+        if node > 0:
+            slid += 1
+            assert tree.points[1] == pytest.approx(other.points[1], abs=1e-9)
+
+
+def test_samples_near_nodes_are_within_their_boxes(robot: Robot) -> None:
+    problem, rng = slot(robot), np.random.default_rng(4)
+    arm = Surroundings(displacement_metric(problem), problem.field.arrays, MARGIN, problem.lower[0], problem.upper[0])
+    nodes = rng.uniform(robot.lower, robot.upper, (50, robot.dof))
+    tree, chosen = _tree(nodes), set[int]()
+    for number in range(300):
+        sample = rng.uniform(robot.lower, robot.upper)
+        offset = 2.0 * (sample - robot.lower) / (robot.upper - robot.lower) - 1.0
+        node = int((number * 0.6180339887498949) % 1.0 * len(nodes))
+        expected = np.clip(nodes[node] + offset / 2.0 ** (number // 12 % 3), robot.lower, robot.upper)
+        _move_near_node(tree, number, sample, arm)
+        assert sample == pytest.approx(expected, abs=1e-12)
+        chosen.add(node)
+    assert len(chosen) == len(nodes)
+
+
 def test_locked_joints_stay(robot: Robot, scene: Scene) -> None:
     world = World.build(robot, scene.solids, clearance=scene.clearance)
     ends = scene.start.configuration, scene.goal.configuration
@@ -131,6 +211,27 @@ def test_long_trees_grow_in_turn_until_a_motion_is_near_its_bound(
     again = [queries, queries] if times_bound is None else [early + 13_500]
     later = [(first + number, budget) for number, budget in enumerate(again)][:seconds]
     assert asked == [(first, early), (first + 1, early), *later]
+
+
+def test_further_pairs_begin_after_the_first_have_used_their_budget(
+    blocked: tuple[Problem, World], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = list[tuple[int, int]]()
+
+    def grow(_: Problem, queries: int, seed: int, __: Pairs) -> tuple[Path | None, int]:
+        asked.append((seed, queries))
+        return None, queries
+
+    monkeypatch.setattr(hplan.planning.path_finder, "tree_to_any", grow)
+    problem = replace(blocked[0], movable=np.arange(8))
+    seeds, queries = long_trees(problem)
+    finder = LongTrees()
+    finder.durations = np.array([math.inf])
+    assert not list(finder.paths(problem))
+    together = problem.effort.long_pairs
+    assert asked[: 2 * together] == [(seed, most) for most in (queries // 3, queries) for seed in seeds[:together]]
+    assert asked[2 * together] == (seeds[together], queries // 3)
+    assert len(asked) == 2 * len(seeds)
 
 
 def test_more_joints_have_more_pairs(blocked: tuple[Problem, World]) -> None:

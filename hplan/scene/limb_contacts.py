@@ -121,8 +121,14 @@ def _contact_solids(obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood
             found[name] += (solid.met_by("pushing", limit),)
     for name, solids in found.items():
         if not any(solid.yields for solid in solids):  # rigid, whatever hangs from it
-            found[name] = (whole[name].met_by("all", solids[-1].contact_limit),)
+            found[name] = as_rigid(solids)
     return found
+
+
+def as_rigid(solids: tuple[Solid, ...]) -> tuple[Solid, ...]:
+    """The solids of a limb or hung fruit that nothing may push; its limit is kept."""
+    whole: Any = solids[0]
+    return (whole.met_by("all", solids[-1].contact_limit),)
 
 
 def _decay_rates(limbs: Limbs, hanging: Pushables, wood: Wood) -> list[float]:

@@ -28,7 +28,7 @@ from hplan.geometry.rotation import quaternion_rotation, rpy_rotation
 from hplan.scene.attached import Attached
 from hplan.scene.fruit import Fruit
 from hplan.scene.imports import Import, flatten_imports
-from hplan.scene.limb_contacts import contact_solids, limbs_of
+from hplan.scene.limb_contacts import as_rigid, contact_solids, limbs_of
 from hplan.scene.limbs import find_parents
 from hplan.scene.limits import FARTHEST_M, MOST_ATTACHED, MOST_OBSTACLES, Vector
 from hplan.scene.obstacle_kind import (
@@ -438,7 +438,11 @@ class Scene(StrictModel):
         for obstacle in self.obstacles:
             yield obstacle, bending.get(obstacle.name) or obstacle.solids
         for f in self.fruits:
-            yield f, bending.get(f.name) or _ball_of(f.name, f.center, f.radius, f.sigma, f.sway, f.yields).solids
+            solids = bending.get(f.name)
+            if solids is not None and f.name == self.goal.fruit:
+                # A fruit that swings after a push would not be where the hand closes.
+                solids = as_rigid(solids)
+            yield f, solids or _ball_of(f.name, f.center, f.radius, f.sigma, f.sway, f.yields).solids
 
     @property
     def errors(self) -> dict[str, FloatArray]:

@@ -22,7 +22,7 @@ from studies.measure import planned
 
 from hplan.apps.execution.bending_wood import BendingTrees, WoodBodies
 from hplan.apps.execution.simulated_arm import Plant, import_mujoco
-from hplan.apps.execution.simulation import execute
+from hplan.apps.execution.simulation import execute, picks_in
 from hplan.apps.execution.tree_response import TreeMonitor
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.certificate.pushes import Load
@@ -503,7 +503,8 @@ def _pick(config: StudyConfig, problem: PickProblem) -> Row:
     if result is None or not result.certificate.verified:
         return row
     pushes, frames = result.certificate.pushes or (), robot.model.frames
-    executed = execute(robot, scene, result.trajectory, PICK_PLANT, trees=BendingTrees())
+    picks = picks_in(result.picked_fruit, result.phases)
+    executed = execute(robot, scene, result.trajectory, PICK_PLANT, trees=BendingTrees(), picks=picks)
     trees = executed.trees
     if trees is None:
         return row

@@ -181,7 +181,22 @@ def test_solids_of_derived_scenes_are_kept() -> None:
     other = scene.with_values(goal=scene.goal.copy_unchecked({"fruit": scene.fruits[3].name}))
     first = {solid.name: solid for solid in scene.listed_solids if solid.meets == "pushing"}
     assert first
+    goal = first.pop(scene.fruits[3].name)
     assert all(any(solid is one for one in other.listed_solids) for solid in first.values())
+    assert goal.yields > 0.0
+
+
+def test_goal_fruit_is_not_pushed_before_its_approach() -> None:
+    """After a push it would swing, away from where the hand closes."""
+    scene = with_limbs(load_scene("orchard-row"))
+    other = scene.with_values(goal=scene.goal.copy_unchecked({"fruit": scene.fruits[3].name}))
+    for one, goal, fruit in ((scene, scene, other), (other, other, scene)):
+        (rigid,) = (solid for solid in one.listed_solids if solid.name == goal.goal.fruit)
+        assert (rigid.meets, rigid.yields) == ("all", 0.0)
+        assert rigid.contact_limit is not None
+        pushed = [solid for solid in one.listed_solids if solid.name == fruit.goal.fruit]
+        assert [solid.meets for solid in pushed] == ["others", "pushing"]
+        assert pushed[1].yields > 0.0
 
 
 def test_a_limb_without_its_parent_is_clamped_at_its_start() -> None:

@@ -104,7 +104,7 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     """Execute the motion and print the result; return the exit status."""
     from hplan.apps.cli.finished_job import FinishedJob
     from hplan.apps.execution.simulated_arm import Plant
-    from hplan.apps.execution.simulation import execute, read_motion
+    from hplan.apps.execution.simulation import execute, picks_in, read_motion
     from hplan.scene.file import load_scene
 
     path: Path = arguments.trajectory
@@ -117,7 +117,7 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     else:
         motion = job.trajectory()
         shown = job.playback(motion)
-        picked, picks = shown.picked, job.picks(shown)
+        picked, picks = shown.picked, picks_in(shown.picked, shown.phases)
     scene = load_scene(job.scene if arguments.scene is None and job is not None else arguments.scene)
     robot = robot_of(arguments, scene, job)
     plant = Plant(arguments.mass_factor, 1e-3 * arguments.command_delay, arguments.bandwidth)

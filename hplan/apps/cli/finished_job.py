@@ -11,7 +11,6 @@ from hplan.base.data_files import robot_names, shipped_scenes
 from hplan.errors import InputError
 
 if TYPE_CHECKING:
-    from hplan.apps.execution.simulation import Pick
     from hplan.apps.view.playback import Playback
     from hplan.certificate.certificate import Certificate
     from hplan.certificate.clearance_curve import ClearanceCurve
@@ -154,19 +153,6 @@ class FinishedJob:
             )
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise self._fault("its certificate is incomplete") from error
-
-    def picks(self, playback: Playback) -> list[Pick]:
-        """Return the fruit that the motion picks.
-
-        A fruit may be touched during its approach, or during the whole motion to it without one.
-        """
-        from hplan.apps.execution.simulation import Pick
-
-        found = []
-        for fruit, picked_s in playback.picked.items():
-            before = [phase.start_s for phase in playback.phases if phase.start_s < picked_s]
-            found.append(Pick(fruit, max(before, default=0.0), picked_s))
-        return found
 
     def contacts(self, scene: Scene) -> tuple[FruitContact, ...]:
         """Time windows in which the last link may touch fruits.

@@ -23,7 +23,7 @@ MuJoCo comes with the extra `execution`: `pip install 'hplan[execution]'`.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from pathlib import Path
@@ -46,7 +46,7 @@ from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Goal, Scene, with_limbs
 from hplan.trajectory.cubics import evaluate, hermite_pieces
-from hplan.trajectory.trajectory import Trajectory, check_units, joints_of_columns
+from hplan.trajectory.trajectory import Phase, Trajectory, check_units, joints_of_columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,6 +244,22 @@ class Pick(NamedTuple):
     picked_s: float
 
 
+def picks_in(picked: Mapping[str, float], phases: Sequence[Phase]) -> list[Pick]:
+    """The fruit that a motion picks.
+
+    A fruit may be touched during its approach, or during the whole motion to it without one.
+
+    Args:
+        picked: Picking times of the fruit, by name [s].
+        phases: Phases of the motion.
+    """
+    found = []
+    for fruit, picked_s in picked.items():
+        begins = [phase.start_s for phase in phases if phase.start_s < picked_s]
+        found.append(Pick(fruit, max(begins, default=0.0), picked_s))
+    return found
+
+
 def execute(
     robot: Robot,
     scene: Scene,
@@ -369,15 +385,16 @@ def _track_reference(
     for k in range(len(clock)):
         if not arm.is_finite:
             break
-        while changes and changes[-1][0] <= clock[k] + 1e-9:
-            _, change, fruit = changes.pop()
-            change([fruit])
         position[k] = arm.position
+        is_due = bool(changes) and changes[-1][0] <= clock[k] + 1e-9
         if arm.trees is not None:
-            if k % _RECORD_TICKS == 0:
+            if is_due or k % _RECORD_TICKS == 0:
                 arm.trees.record()
             if clock[k] <= duration + 1e-9:
                 displacement = arm.trees.fruit_displacement_m()
+        while changes and changes[-1][0] <= clock[k] + 1e-9:
+            _, change, fruit = changes.pop()
+            change([fruit])
         if k == ticks:
             break
         if plant.decoupled:

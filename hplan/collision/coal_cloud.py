@@ -20,7 +20,7 @@ import pinocchio as pin
 
 from hplan.base.arrays import FloatArray
 from hplan.base.deadline import check_deadline
-from hplan.base.kernels import kernel
+from hplan.base.kernels import inline, kernel
 from hplan.collision.coal_shapes import beyond_geometry, capsule_shapes, solid_shape, triangle_tree
 from hplan.geometry.cloud import LEAF, Cloud
 from hplan.geometry.cloud_tree import tree_of
@@ -208,29 +208,54 @@ def _next_leaf(
 ) -> tuple[float, int]:
     """Find the leaf whose ball is nearest to a placed box; arguments and result as of `nearest_block`."""
     (rotation, translation), least, found, number = place, limit, -1, 0
+    if after[1] < 0 and nodes.shape[0] > 0:
+        # A leaf that is rather near, so that most balls need not be opened.
+        bound = _descent_bound(rotation, translation, core, nodes)
+        least = min(least, bound + 1e-12 * (1.0 + abs(bound)))
     # Ends and bounds of the nodes above: this node's ball may extend beyond theirs, its points do not.
     above, height = np.empty((64, 2)), 0
     while number < nodes.shape[0]:
-        node = nodes[number]
         while height > 0 and number >= above[height - 1, 0]:
             height -= 1
-        square = _square_from_box(rotation, translation, core, (node[3], node[4], node[5]))
-        # Rounding errors, and the triangles' size, never make a ball too small.
-        bound = math.sqrt(square) - (node[6] * (1.0 + 1e-12) + 2.0 * _SPECK)
+        bound = _ball_bound(rotation, translation, core, nodes[number])
         if height > 0:
             bound = max(bound, above[height - 1, 1])
-        is_leaf = node[2] == number + 1
+        is_leaf = nodes[number, 2] == number + 1
         if bound < least and is_leaf and (bound > after[0] or (bound == after[0] and number > after[1])):
             least, found = bound, number
         if is_leaf or bound >= least:
-            number = int(node[2])
+            number = int(nodes[number, 2])
         else:
-            above[height, 0], above[height, 1] = node[2], bound
+            above[height, 0], above[height, 1] = nodes[number, 2], bound
             height, number = height + 1, number + 1
-    return least, found
+    return (limit, -1) if found < 0 else (least, found)
 
 
 @kernel
+def _descent_bound(rotation: FloatArray, translation: FloatArray, core: FloatArray, nodes: FloatArray) -> float:
+    """Bound of the leaf reached by always taking the nearer child [m]."""
+    number, bound = 0, _ball_bound(rotation, translation, core, nodes[0])
+    while nodes[number, 2] > number + 1:
+        end, number = nodes[number, 2], number + 1
+        nearer, second = _ball_bound(rotation, translation, core, nodes[number]), int(nodes[number, 2])
+        if second < end:
+            other = _ball_bound(rotation, translation, core, nodes[second])
+            if other < nearer:
+                number, nearer = second, other
+        bound = max(bound, nearer)
+    return bound
+
+
+@inline
+def _ball_bound(rotation: FloatArray, translation: FloatArray, core: FloatArray, node: FloatArray) -> float:
+    """Lower bound of the distance of a placed box from the points of a node [m]."""
+    square = _square_from_box(rotation, translation, core, (node[3], node[4], node[5]))
+    # Rounding errors, and the triangles' size, never make a ball too small.
+    bound: float = math.sqrt(square) - (node[6] * (1.0 + 1e-12) + 2.0 * _SPECK)
+    return bound
+
+
+@inline
 def _square_from_box(rotation: FloatArray, translation: FloatArray, core: FloatArray, point: Vector) -> float:
     """Squared distance of a point from a placed box [m2]."""
     x, y, z = point[0] - translation[0], point[1] - translation[1], point[2] - translation[2]

@@ -68,6 +68,12 @@ def world(robot: Robot) -> World:
     return World(robot, speed=0.1)
 
 
+def test_scene_of_another_robot_is_refused_at_the_start(robot: Robot) -> None:
+    scene = Scene(name="x", start=Start(joints_rad=A), goal=Goal(joints_rad=B), locked_joints=("elbow 7",))
+    with pytest.raises(InputError, match="locked_joints names 'elbow 7'"):
+        Session(robot, scene, SessionOptions(), lambda: 0.0)
+
+
 def test_motion_is_kept_until_something_blocks_it(world: World) -> None:
     session = world.session
     first = session.move()

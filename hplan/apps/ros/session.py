@@ -129,7 +129,11 @@ class Session:
             options: Parameters.
             clock: Returns the time now [s]; it never runs backward.
             prefix: Prefix of the joints' names in messages.
+
+        Raises:
+            InputError: The scene locks a joint that the robot does not have, as a scene of another robot does.
         """
+        robot.locked_mask(scene.locked_joints)
         self.options, self._clock = options, clock
         self._clearance_m = max(options.clearance_m, scene.clearance)
         plans = PlanOptions(

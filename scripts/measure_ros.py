@@ -70,6 +70,8 @@ class Peer:
     def wait(self, done: Callable[[], Any], most_s: float) -> bool:
         """Spin until a function returns true; False if it does not in time."""
         end = time.monotonic() + most_s
+        # Also after a delay of this process, which would otherwise send clouds without the arm's state between them.
+        self._executor.spin_once(timeout_sec=0.0)
         while not done():
             if time.monotonic() > end:
                 return False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import numbers
-from hplan.errors import InputError
+from hplan.errors import HplanWarning, InputError
 from hplan.robot.model import Robot
 
 #: Held joints are at multiples of this value [rad, m], because each value takes a robot of its own.
@@ -45,7 +46,10 @@ class FullConfigurations:
 
         @lru_cache(maxsize=_KEPT)
         def load_once(held: tuple[tuple[str, float], ...]) -> Robot:
-            return load(dict(held))
+            with warnings.catch_warnings():
+                if held:  # The robot without held joints has told its warnings.
+                    warnings.simplefilter("ignore", HplanWarning)
+                return load(dict(held))
 
         self._load, self.names, self.robot = load_once, tuple(names), load_once(())
         if missing := [name for name in self.robot.joint_names if name not in self.names]:

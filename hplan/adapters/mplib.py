@@ -145,8 +145,6 @@ class Planner:
             found = solve(self._full.robot, scene)
         except HplanError as error:
             return {"status": error.message}
-        clock, position, velocity, acceleration = states_every(found.trajectory, time_step)
-        return {
-            "status": "Success", "time": clock, "position": position, "velocity": velocity,
-            "acceleration": acceleration, "duration": clock[-1], "certificate": found.certificate,
-        }  # fmt: skip
+        states = states_every(found.trajectory, time_step)
+        named = dict(zip(("time", "position", "velocity", "acceleration"), states, strict=True))
+        return {"status": "Success", **named, "duration": states[0][-1], "certificate": found.certificate}

@@ -1,4 +1,4 @@
-"""Detection of implausibly far obstacles, whose lengths are probably in millimetres."""
+"""Detection of implausibly far obstacles and large held objects, whose lengths are probably in millimetres."""
 
 from __future__ import annotations
 
@@ -37,12 +37,33 @@ def far_obstacles(robot: Robot, scene: Scene) -> tuple[str, ...]:
     return tuple(item.name for item in shapes if _is_beyond(item, np.array(centre), _FAR_M))
 
 
+def large_object(robot: Robot, scene: Scene) -> tuple[str, float] | None:
+    """Name and size [m] of the first held object that is larger than the arm's maximum extent; None without one."""
+    reach = float(workspace_ball(robot.bare)[3])
+    for held in scene.attached:
+        corners = np.concatenate([solid.core for solid in held.object.solids])
+        size = float(np.ptp(corners, axis=0).max()) + 2.0 * max(solid.rounding for solid in held.object.solids)
+        if size > 2.0 * reach:
+            return held.object.name, size
+    return None
+
+
 def warn_of_far_obstacles(robot: Robot, scene: Scene) -> None:
-    """Warn if the scene has obstacles implausibly far from the arm.
+    """Warn if the scene has obstacles implausibly far from the arm, or large objects in its hand.
 
     Warns:
-        FarObstacleWarning: An obstacle or fruit is implausibly far from the arm; the warning names the first one.
+        FarObstacleWarning: An obstacle or fruit is implausibly far from the arm, or a held object larger than the arm;
+            the warning names the first one.
     """
+    large = large_object(robot, scene)
+    if large is not None:
+        name, size = large
+        warnings.warn(
+            f"scene {scene.name!r}: held object {name!r} is {size:.4g} m large; are the lengths in millimetres? "
+            "hplan expects metres",
+            FarObstacleWarning,
+            stacklevel=2,
+        )
     names = far_obstacles(robot, scene)
     if names:
         others = f" and {len(names) - 1} more are" if names[1:] else " is"

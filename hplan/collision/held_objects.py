@@ -14,6 +14,7 @@ import math
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Final
 
 import coal
 import numpy as np
@@ -32,8 +33,9 @@ from hplan.scene.obstacles import Mesh
 #: Number of sets of held objects whose robots are cached.
 _KNOWN = 8
 
-#: Colour of held objects on pages (red, green, blue, opacity).
-_COLOR = np.array([0.80, 0.55, 0.25, 1.0])
+#: Colour of held objects on pages, and as red, green, blue, opacity.
+HELD_COLOR: Final = 0xCC8C40
+_COLOR = np.array([*HELD_COLOR.to_bytes(3, "big"), 255]) / 255.0
 
 
 def holding(robot: Robot, attached: Sequence[Attached]) -> Robot:

@@ -83,7 +83,7 @@ class HplanWarning(UserWarning):
 
 
 class FarObstacleWarning(HplanWarning):
-    """Obstacles are far from the arm; their unit is probably millimetres.
+    """Obstacles are far from the arm, or held objects large; their unit is probably millimetres.
 
     Examples:
         >>> from hplan.errors import FarObstacleWarning, HplanWarning

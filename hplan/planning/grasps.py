@@ -29,7 +29,7 @@ from hplan.base.deadline import is_over
 from hplan.collision.coal_scene import Contact
 from hplan.collision.collision_bodies import collision_bodies
 from hplan.collision.motion_coefficients import reach as reach_of_bodies
-from hplan.errors import BlockedError, UnreachableError
+from hplan.errors import BlockedError, TiltedError, UnreachableError
 from hplan.kinematics.approach_angles import Candidates
 from hplan.kinematics.inverse_kinematics import inverse_kinematics
 from hplan.kinematics.straight_line import ToolLine, lines_back
@@ -208,8 +208,16 @@ class Blocked(Record):
         wall = self.ranges.wall_before(q)
         return self.target.world_touching.checker.nearest_contact(q) if wall is None else wall.contact
 
-    def error(self) -> BlockedError:
-        """Error that names the obstacles blocking the configurations, the most frequent first."""
+    def error(self) -> BlockedError | TiltedError:
+        """Error that names the obstacles blocking the configurations, the most frequent first.
+
+        If the tool has to stay upright and none of the configurations holds it so, the error names the smallest tilt.
+        """
+        robot, upright = self.target.world_touching.robot, self.target.world_touching.upright
+        if upright is not None:
+            tilts = [upright.tilt_of(robot.forward_kinematics(q)) for q in self.configurations]
+            if min(tilts) >= upright.max_tilt_rad:
+                return TiltedError(self.target.what, min(tilts), upright.max_tilt_rad)
         nearest: list[Contact | None] = []
         for q in self.configurations:
             if nearest and is_over():
@@ -243,6 +251,7 @@ def grasps(
 
     Raises:
         BlockedError: Obstacles block every configuration there, or a joint on every path to it; names them.
+        TiltedError: The tool has to stay upright, and no configuration there holds it so.
         HplanError: As `grasps_or_blocked`.
     """
     found = grasps_or_blocked(target, start, standoff=standoff, locked=locked, count=count)

@@ -16,7 +16,8 @@ which is then read like any other one.
 | actuator force ranges | efforts, transmitted to the joint, of the weaker direction; those of the joint itself first |
 | armature | rotor inertia |
 
-MJCF has no velocity limits: `VELOCITY_GUESS` is assumed. Springs, damping, friction and tendons are ignored.
+MJCF has no velocity limits: `VELOCITY_GUESS` is assumed. Springs, damping, friction and tendons are ignored;
+so is `option gravity`, with a warning if it is not 9.81 m/s^2 along -z.
 """
 
 from __future__ import annotations
@@ -40,6 +41,10 @@ _AT_ORIGIN: Final = 1e-9
 
 #: Velocities assumed without a velocity limit, of revolute and of prismatic joints [rad/s, m/s].
 VELOCITY_GUESS: Final = (1.0, 0.1)
+
+#: Gravity of hplan's models, and the difference from it that counts as none [m/s^2].
+_GRAVITY: Final = (0.0, 0.0, -9.81)
+_GRAVITY_OFF: Final = 0.02
 
 #: Suffixes of mesh files that Pinocchio reads.
 _MESHES: Final = (".stl", ".obj", ".dae", ".ply")
@@ -91,6 +96,10 @@ class _Writer:
             place = _placement(self._model.site_pos[site], self._model.site_quat[site])
             self._fixed(self._links[self._model.site_bodyid[site]], str(link.get("name")), place)
         self._root.assumed = self._assumed
+        gravity = self._model.opt.gravity
+        if not np.allclose(gravity, _GRAVITY, atol=_GRAVITY_OFF):
+            given = " ".join(f"{value:g}" for value in gravity)
+            self._root.ignored = (f"option gravity {given} is not taken over: expected 0 0 {_GRAVITY[2]:g} m/s^2",)
         return self._root
 
     def _name(self, kind: str, number: int) -> str:
@@ -245,6 +254,9 @@ class _Writer:
             moved = _placement(model.mesh_pos[mesh], model.mesh_quat[mesh])
             scale = _text(model.mesh_scale[mesh])
             yield Element("mesh", {"filename": str(file), "scale": scale}), place * moved.inverse()
+        elif kind == int(kinds.mjGEOM_SDF) and (model.geom_contype[geom] or model.geom_conaffinity[geom]):
+            name = self._mujoco.mj_id2name(model, self._mujoco.mjtObj.mjOBJ_GEOM, geom) or f"number {geom}"
+            raise RobotFileError(self._path, f"geom {name!r} is an sdf; expected primitives or a mesh for contacts")
 
     def _mesh_file(self, mesh: int) -> Path:
         """File of a mesh.

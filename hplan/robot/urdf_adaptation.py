@@ -151,7 +151,7 @@ def adapt_urdf(path: Path, root: Element, choice: RobotChoice, faults: Faults | 
     text = ET.tostring(root, encoding="unicode")
     mended = tuple(collected.mended)
     adapted = read_urdf(path, root) if repaired else adapted
-    assumed = (*chain.assumed_velocities(root.assumed, given), *repaired)
+    assumed = (*chain.assumed_velocities(root.assumed, given), *repaired, *root.ignored)
     return AdaptedUrdf(
         adapted, text, frozenset(chain.continuous), chain.held, missing, mended, chain.tool_frame, assumed
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,12 @@ from numpy.typing import ArrayLike
 from hplan.adapters import mplib
 from hplan.adapters.full_configuration import FullConfigurations
 from hplan.base.arrays import FloatArray
-from hplan.errors import InputError, RobotFileError
+from hplan.errors import InputError, RobotFileError, RobotFileWarning
 from hplan.robot.model import Robot, load_robot
 
-pytest.importorskip("cmeel", reason="example-robot-data is not installed (extra `robots`)")
+cmeel: Any = pytest.importorskip("cmeel", reason="example-robot-data is not installed (extra `robots`)")
+
+SHARE = Path(cmeel.__path__[0]).parent / "cmeel.prefix" / "share" / "example-robot-data" / "robots"
 
 #: Configuration before a table, fingers open, and names in the order of the URDF.
 START = np.array([0.0, 0.2, 0.0, -2.0, 0.0, 2.2, 0.785, 0.04, 0.04])
@@ -126,6 +129,17 @@ def test_fingers_are_where_the_configuration_has_them(panda: Robot, planner: mpl
 )
 def test_wrong_configuration_is_named(planner: mplib.Planner, qpos: ArrayLike, words: str) -> None:
     assert words in planner.plan_qpos_to_pose(BASE, qpos)["status"]
+
+
+def test_assumed_accelerations_are_told_once() -> None:
+    """Robots with other held joints tell nothing again."""
+    urdf = str(SHARE / "so_arm_description/urdf/so100.urdf")
+    with pytest.warns(RobotFileWarning, match="acceleration limits"):
+        made = mplib.Planner(urdf, "gripper", package_keyword_replacement=str(SHARE.parents[1]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for jaw in (0.1, 0.2):
+            made.plan_qpos_to_pose(BASE, [0.0, 1.5, -1.4, -1.4, 0.0, jaw])
 
 
 def test_wrong_pose_is_refused(planner: mplib.Planner) -> None:

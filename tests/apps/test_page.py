@@ -19,8 +19,10 @@ from hplan.apps.view.playback import Playback
 from hplan.apps.view.scene_stage import build_stage, keyframe_times
 from hplan.apps.view.scenery import OTHER
 from hplan.apps.view.three_js import simplify_mesh
+from hplan.collision.held_objects import HELD_COLOR
 from hplan.robot.limits import Limits
 from hplan.robot.model import Robot
+from hplan.scene.attached import Attached
 from hplan.scene.file import load_scene
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
@@ -167,3 +169,11 @@ def test_simplified_meshes_keep_their_extent_and_no_more_triangles_than_asked() 
     assert 0.17 < used.min() <= used.max() <= 0.2 + 1e-12
     same = simplify_mesh(np.asarray(ball.vertices), np.asarray(ball.faces), 1.0)
     assert len(same[1]) == len(ball.faces)
+
+
+def test_legend_names_held_objects(robot: Robot) -> None:
+    box = Attached(object=Box(name="crate", center=(0.1, 0.0, 0.0), size=(0.1, 0.1, 0.1)))
+    playback, scene = Playback(motion(robot)), load_scene()
+    entry = f'<i style="background: #{HELD_COLOR:06x}"></i>Held</span>'
+    assert entry not in render_page(robot, scene, playback)
+    assert entry in render_page(robot, scene.with_attached([box]), playback)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import warnings
 from pathlib import Path
@@ -15,8 +16,9 @@ from hplan import Planner, certify, plan
 from hplan.apps.cli.main import main
 from hplan.collision.far_obstacles import far_obstacles
 from hplan.collision.motion_coefficients import workspace_ball
-from hplan.errors import FarObstacleWarning
+from hplan.errors import FarObstacleWarning, HplanError
 from hplan.robot.model import Robot
+from hplan.scene.attached import Attached
 from hplan.scene.file import save_scene
 from hplan.scene.fruit import Fruit
 from hplan.scene.model import Goal, Scene, Start
@@ -59,6 +61,27 @@ def test_scene_in_millimetres_warns(robot: Robot, item: AnyObstacle) -> None:
     near = Sphere(name="near", center=(0.0, 1.9, 1.0), radius=0.1)
     expected = (item.name,) if isinstance(item, Mesh | PointCloud) else ()
     assert far_obstacles(robot, a_scene(near, item)) == expected
+
+
+def test_held_object_in_millimetres_warns(robot: Robot) -> None:
+    points = np.random.default_rng(0).normal((0.0, 0.0, 30.0), 20.0, (50, 3))
+    for item in (
+        Box(name="crate", center=(60.0, 0.0, 0.0), size=(30.0, 20.0, 10.0)),
+        Sphere(name="ball", center=(0.0, 0.0, 0.0), radius=4.0),
+        PointCloud.from_points("plant", points, radius=1.0),
+    ):
+        scene = a_scene().with_attached([Attached(object=item)])
+        with pytest.warns(FarObstacleWarning, match=f"held object '{item.name}' .* m large; .* millimetres"):
+            or_error(robot, scene)
+    small = a_scene().with_attached([Attached(object=Box(name="crate", center=(0.1, 0.0, 0.0), size=(0.1, 0.1, 3.0)))])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", FarObstacleWarning)
+        or_error(robot, small)
+
+
+def or_error(robot: Robot, scene: Scene) -> None:
+    with contextlib.suppress(HplanError):
+        plan(robot, scene)
 
 
 def test_scene_in_metres_does_not_warn(robot: Robot) -> None:

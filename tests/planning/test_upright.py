@@ -283,3 +283,12 @@ def test_error_without_any_upright_motion(arm: Robot) -> None:
         hplan.plan(
             arm, scene.with_values(upright=Upright(max_tilt_deg=1e-3)), PlanOptions(effort="quick", tracking_error=0.01)
         )
+
+
+def test_fruit_that_the_tilt_rules_out_is_told_so() -> None:
+    """No configuration of the harvester picks this fruit with its tool within 1 deg of how it starts."""
+    scene = load_scene("tour")
+    fruit = scene.fruits[0].name
+    upright = scene.with_values(goal=Goal(fruit=fruit), upright=Upright(max_tilt_deg=1.0))
+    with pytest.raises(TiltedError, match=f"fruit '{fruit}' does not hold the tool upright"):
+        hplan.plan(hplan.load_robot(), upright)

@@ -324,3 +324,23 @@ def test_efforts_are_those_of_the_weaker_direction(tmp_path: Path) -> None:
     }
     assert efforts == {"one": 9.0, "two": 16.0, "three": 1.0}
     assert urdf_of_mjcf(file).assumed["three"] == ["velocity", "effort"]
+
+
+def test_another_gravity_is_told(file: Path) -> None:
+    file.write_text(ARM.replace("<default>", '<option gravity="0 0 -3.7"/><default>', 1))
+    with pytest.warns(RobotFileWarning, match=r"option gravity 0 0 -3\.7 is not taken over: expected 0 0 -9\.81"):
+        hplan.load_robot(file)
+    assert not any("gravity" in assumption for assumption in load_text(file, ARM).assumptions)
+
+
+def load_text(file: Path, text: str) -> Robot:
+    file.write_text(text)
+    return load(file)
+
+
+def test_signed_distance_fields_are_refused_where_they_collide(file: Path) -> None:
+    shape = '<geom name="blob" type="sdf" mesh="wedge"{}/><geom type="cylinder" size="0.05 0.1" pos="0 0 0.1"/>'
+    plain = '<geom type="cylinder" size="0.05 0.1" pos="0 0 0.1"/>'
+    with pytest.raises(RobotFileError, match="geom 'blob' is an sdf; expected primitives or a mesh"):
+        load_text(file, ARM.replace(plain, shape.format("")))
+    load_text(file, ARM.replace(plain, shape.format(' contype="0" conaffinity="0"')))

@@ -28,6 +28,7 @@ from hplan.base.arrays import FloatArray
 from hplan.base.data_files import view_asset
 from hplan.base.files import HTML_COMMENT, write_marked
 from hplan.base.units import at_least_mm, at_most_deg
+from hplan.collision.held_objects import HELD_COLOR
 from hplan.errors import HplanError
 from hplan.planning.failures import REASON_WORDS
 from hplan.robot.model import Robot
@@ -258,6 +259,8 @@ def render_page(robot: Robot, scene: Scene, playback: Playback) -> str:
     colors = [look.color for look in scenery.looks(scene)]
     if colors:
         entries.append(("Obstacle" if len(scene.obstacles) == 1 else "Obstacles", colors))
+    if scene.attached:
+        entries.append(("Held", [HELD_COLOR]))
     if scene.fruits:
         entries.append(("Fruit", [scenery.FRUIT_COLOR]))
     if scene.goal.fruit is not None and len(playback.picked) < 2:

@@ -2,18 +2,102 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from hplan.base.arrays import FloatArray, Record, frozen
+from hplan.base.arrays import FloatArray, IntArray, Record, frozen
+from hplan.base.kernels import kernel
 from hplan.collision.coal_shapes import solid_shape
 from hplan.geometry.cloud import Cloud
 from hplan.scene.obstacles import Solid
-from hplan.scene.tracks import Movement
+from hplan.scene.tracks import Movement, Poses
+
+
+class _Routes(NamedTuple):
+    """Poses of several bodies over time, one after the other, as in `hplan.scene.tracks.Poses`.
+
+    Attributes:
+        ends: (bodies + 1,) index of the first pose of each body, and the number of poses.
+        times: (n,) times [s].
+        shifts: (n, 3) shifts [m].
+        rotations: (n, 3, 3) rotations.
+        turns: (n, 3) rotation vector to the next rotation of the same body [rad]; zeros for its last.
+        about: (bodies, 3) centres of rotation before the shift [m].
+    """
+
+    ends: IntArray
+    times: FloatArray
+    shifts: FloatArray
+    rotations: FloatArray
+    turns: FloatArray
+    about: FloatArray
+
+    @classmethod
+    def join(cls, bodies: Sequence[Poses]) -> _Routes:
+        """The poses of some bodies."""
+        turns = [np.vstack([body.turns, np.zeros((1, 3))]) for body in bodies]
+        return cls(
+            np.cumsum([0, *(len(body.times) for body in bodies)]),
+            np.concatenate([body.times for body in bodies], dtype=np.float64),
+            np.concatenate([body.shifts for body in bodies], dtype=np.float64),
+            np.concatenate([body.rotations for body in bodies], dtype=np.float64),
+            np.concatenate(turns),
+            np.stack([body.about for body in bodies]),
+        )
+
+
+@kernel
+def _pose_at(time_s: float, route: _Routes, body: int, rotation: FloatArray, place: FloatArray) -> None:
+    """Write rotation and centre of rotation of a body at a time, as `hplan.scene.tracks.Poses.poses_at`."""
+    first, end = route.ends[body], route.ends[body + 1]
+    k = first
+    while k < end - 2 and time_s >= route.times[k + 1]:
+        k += 1
+    span = route.times[k + 1] - route.times[k]
+    part = min(1.0, max(0.0, (time_s - route.times[k]) / (span if span > 0.0 else 1.0)))
+    for c in range(3):
+        place[c] = route.about[body, c] + route.shifts[k, c] + part * (route.shifts[k + 1, c] - route.shifts[k, c])
+    x, y, z = part * route.turns[k, 0], part * route.turns[k, 1], part * route.turns[k, 2]
+    angle = math.sqrt(x * x + y * y + z * z)
+    if angle == 0.0:
+        for r in range(3):
+            for c in range(3):
+                rotation[r, c] = route.rotations[k, r, c]
+        return
+    x, y, z = x / angle, y / angle, z / angle
+    cos, sin = math.cos(angle), math.sin(angle)
+    rest = 1.0 - cos
+    for r in range(3):
+        a, b, c = route.rotations[k, r, 0], route.rotations[k, r, 1], route.rotations[k, r, 2]
+        rotation[r, 0] = a * (cos + x * x * rest) + b * (y * x * rest + z * sin) + c * (z * x * rest - y * sin)
+        rotation[r, 1] = a * (x * y * rest - z * sin) + b * (cos + y * y * rest) + c * (z * y * rest + x * sin)
+        rotation[r, 2] = a * (x * z * rest + y * sin) + b * (y * z * rest - x * sin) + c * (cos + z * z * rest)
+
+
+@kernel
+def _place_routes(time_s: float, own: _Routes, base: _Routes, rotations: FloatArray, shifts: FloatArray) -> None:
+    """Write rotations and shifts of bodies relative to the base, as `Movement.displacement_at`."""
+    turned, seen, place, pivot, shift = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    for body in range(len(rotations)):
+        _pose_at(time_s, own, body, turned, place)
+        _pose_at(time_s, base, body, seen, pivot)
+        for r in range(3):
+            shift[r] = place[r] - pivot[r]
+            for c in range(3):
+                shift[r] -= turned[r, c] * own.about[body, c]
+        for r in range(3):
+            shifts[body, r] = base.about[body, r]
+            for c in range(3):
+                shifts[body, r] += seen[c, r] * shift[c]
+                rotations[body, r, c] = 0.0
+                for m in range(3):
+                    rotations[body, r, c] += seen[m, r] * turned[m, c]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,12 +139,21 @@ class MovingSolids(Record):
         """(m,) times of possible speed changes [s]; obstacles rest outside them."""
         return frozen(np.unique(np.concatenate([movement.breaks for movement, _ in self._distinct])))
 
+    @cached_property
+    def _routes(self) -> tuple[_Routes, ...]:
+        """The distinct movements for kernels: those of the obstacles, then those of the base."""
+        return tuple(
+            _Routes.join([getattr(movement, part) for movement, _ in self._distinct]) for part in ("own", "base")
+        )
+
     def places(self, time_s: float) -> list[tuple[int, pin.SE3]]:
         """Index and coal pose of each moving obstacle at a time [s]."""
+        (own, base), count = self._routes, len(self._distinct)
+        rotations, shifts = np.empty((count, 3, 3)), np.empty((count, 3))
+        _place_routes(time_s, own, base, rotations, shifts)
         found = []
-        for movement, listed in self._distinct:
-            rotation, shift = movement.displacement_at(np.array([time_s]))
-            pose = pin.SE3(rotation[0], shift[0])
+        for (_, listed), rotation, shift in zip(self._distinct, rotations, shifts, strict=True):
+            pose = pin.SE3(rotation, shift)
             found += [(number, pose * place) for number, place in listed]
         return found
 

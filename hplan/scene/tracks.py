@@ -177,6 +177,8 @@ class Poses(Record):
     @cached_property
     def turns(self) -> FloatArray:
         """(n - 1, 3) rotation vectors between successive rotations [rad]."""
+        if (self.rotations == self.rotations[:1]).all():
+            return frozen(np.zeros((len(self.times) - 1, 3)))
         return frozen(rotation_vectors(self.rotations))
 
     def poses_at(self, clock: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -614,9 +614,7 @@ def all_of(parts: Sequence[Certificate]) -> Certificate:
         verified=all(part.verified for part in parts),
         min_clearance_m=min(part.min_clearance_m for part in parts),
         nearest=_nearest_of(part.nearest for part in parts),
-        limit_use=LimitUse(
-            **{name: max(getattr(part.limit_use, name) for part in parts) for name in vars(parts[0].limit_use)}
-        ),
+        limit_use=LimitUse.largest(part.limit_use for part in parts),
         checks=sum(part.checks for part in parts),
         violations=tuple(violation for part in parts for violation in part.violations),
         subject=joined_subjects(part.subject for part in parts),

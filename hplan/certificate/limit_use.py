@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
@@ -35,8 +36,20 @@ class LimitUse:
     acceleration: float
     torque: float
 
+    @classmethod
+    def largest(cls, parts: Iterable[LimitUse]) -> LimitUse:
+        """The largest use of each limit by several motions.
 
-def limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration: FloatArray) -> LimitUse:
+        Examples:
+            >>> LimitUse.largest([LimitUse(0.1, 0.9, 0.2, 0.3), LimitUse(0.2, 0.8, 0.1, 0.4)])
+            LimitUse(position=0.2, velocity=0.9, acceleration=0.2, torque=0.4)
+        """
+        return cls(*(max(uses) for uses in zip(*(astuple(part) for part in parts), strict=True)))
+
+
+def limit_use(
+    robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration: FloatArray, first: int = 0
+) -> LimitUse:
     """Bound the use of each limit over a motion's segments.
 
     The columns of the trajectory for velocity, acceleration and torque count as well. Position, velocity and
@@ -47,17 +60,20 @@ def limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration
     Args:
         bezier: (pieces, 4 or 6, dof) Bezier points of the trajectory's segments.
         duration: (pieces,) their durations [s].
+        first: Index of the first sample that counts.
     """
+    bezier, duration = bezier[first:], duration[first:]
+    at, fast, pushed, torques = (values[first:] for values in trajectory.rows[1:])
     middle, half = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower)
     offset, speed, push = _peaks(np.ascontiguousarray(bezier), duration, middle)
-    peak_velocity = np.maximum(speed, np.abs(trajectory.velocity).max(axis=0))
-    peak_acceleration = np.maximum(push, np.abs(trajectory.acceleration).max(axis=0))
+    peak_velocity = np.maximum(speed, np.abs(fast).max(axis=0))
+    peak_acceleration = np.maximum(push, np.abs(pushed).max(axis=0))
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         position = offset / half
     peak_torque = np.maximum(
-        largest_torques(robot.dynamics, bezier, duration, robot.torque_limit), np.abs(trajectory.torque).max(axis=0)
+        largest_torques(robot.dynamics, bezier, duration, robot.torque_limit), np.abs(torques).max(axis=0)
     )
-    has_jumps = trajectory.interpolation == "linear" and bool((np.diff(trajectory.position, axis=0) != 0.0).any())
+    has_jumps = trajectory.interpolation == "linear" and bool((np.diff(at, axis=0) != 0.0).any())
     return LimitUse(
         position=_finite_or_inf(position),
         velocity=fraction_of(peak_velocity, robot.velocity_limit),

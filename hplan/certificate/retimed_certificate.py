@@ -28,7 +28,7 @@ from hplan.certificate.certificate import (
 )
 from hplan.certificate.digests import Digests
 from hplan.certificate.goal_contact import FruitContact
-from hplan.certificate.limit_use import limit_use
+from hplan.certificate.limit_use import LimitUse, limit_use
 from hplan.certificate.motion_bound import largest_pair_sway
 from hplan.certificate.moving_obstacles import checker_in_time
 from hplan.certificate.tool_bounds import tilt_violations, tool_bounds
@@ -90,7 +90,7 @@ def certified_retiming(
     # If obstacles move, the proof depends on the timing.
     known = running.verified and not scene.moves
     if known and left > scene.clearance and tracking.delay_s == 0.0 and not anew:
-        certificate = _by_path(robot, running, whole, left, (UprightTool.of_scene(robot, scene), tracking))
+        certificate = _by_path(robot, running, retimed, left, (UprightTool.of_scene(robot, scene), tracking))
     else:
         first = row if known else 0
         checker = checker_in_time(robot, scene, sigmas)
@@ -145,15 +145,18 @@ def certified_from(
 def _by_path(
     robot: Robot,
     running: Certificate,
-    motion: Trajectory,
+    retimed: Retimed,
     left: float,
     tool: tuple[UprightTool | None, TrackingModel],
 ) -> Certificate:
     """Certificate of a motion with the clearance `left` from its path [m].
 
-    `tool` has the axis that stays upright, or None, and the tracking errors.
+    Before the sample where the motions part, the use of the limits is that of the path's motion. `tool` has the axis
+    that stays upright, or None, and the tracking errors.
     """
-    use, (upright, tracking), tilt = limit_use(robot, motion, *motion.segments), tool, None
+    motion, use, (upright, tracking), tilt = retimed.trajectory, running.limit_use, tool, None
+    if retimed.row < motion.samples - 1:
+        use = LimitUse.largest([use, limit_use(robot, motion, *motion.segments, retimed.row)])
     violations = tuple(limit_violations(use))
     if upright is not None:
         tilt = tool_bounds(robot, motion, upright, tracking).tilt_rad

@@ -755,8 +755,11 @@ class Planner:
             if value is not None and now is None:
                 raise OptionError(option, value, "None without `now`: no motion is running")
         changes: dict[str, Any] = {key: value for key, value in (("start", start), ("goal", goal)) if value is not None}
+        # Of the values of a scene only the name of a fruit depends on others. Checking all takes as long as a stop.
+        is_checked = isinstance(start, Start | None) and isinstance(goal, Goal | None) and not (goal and goal.fruit)
         with self._changing:
-            self.scene = _with_changes(self.scene, changes)
+            scene = self.scene
+            self.scene = scene.copy_unchecked(changes) if is_checked else _with_changes(scene, changes)
         return None if now is None else self.stop_at(now if at is None else at, now=now, measured=measured)
 
     def _room_m(self, scene: Scene, options: PlanOptions) -> float:

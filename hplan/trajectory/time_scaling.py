@@ -32,7 +32,7 @@ from hplan.base.arrays import FloatArray, numbers
 from hplan.collision.motion_coefficients import largest_sway
 from hplan.errors import InputError, OptionError
 from hplan.robot.model import Robot
-from hplan.trajectory.cubics import Rows, accelerations, joined_rows, points_of, sample_spline
+from hplan.trajectory.cubics import Rows, accelerations, evaluate, joined_rows, points_of, sample_spline
 from hplan.trajectory.speed_profile import MOST_ROWS
 from hplan.trajectory.time_steps import FADED, Clocks, Kept, run_clock
 
@@ -75,15 +75,15 @@ def rescale(
     Raises:
         OptionError: The motion does not end with these factors.
     """
-    rest = motion.cut_before(row)
-    period = float(rest.time[1])
+    rest = _Rest.build(motion.cut_before(row))
+    period, path = float(rest.rows.time[1]), rest.rows.position
     for halving in range(_DENSER):
         found = _with_period(rest, robot, period * 0.5**halving, wanted, final_s)
         if found is None:
             continue
         q, off_m = found[0].position, float(largest_sway(robot, found[2]))
-        within = (q >= np.minimum(robot.lower, rest.position.min(axis=0)) - LIMIT_TOLERANCE).all() and (
-            q <= np.maximum(robot.upper, rest.position.max(axis=0)) + LIMIT_TOLERANCE
+        within = (q >= np.minimum(robot.lower, path.min(axis=0)) - LIMIT_TOLERANCE).all() and (
+            q <= np.maximum(robot.upper, path.max(axis=0)) + LIMIT_TOLERANCE
         ).all()
         if off_m <= OFF_PATH and within:
             clock = np.concatenate([motion.time[:row], motion.time[row] + found[1]])
@@ -91,22 +91,47 @@ def rescale(
     return None
 
 
+class _Rest(NamedTuple):
+    """A motion from the first sample of the new timing on.
+
+    Attributes:
+        rows: Its samples.
+        bezier: (pieces, 4, dof) its cubics.
+        duration: (pieces,) their durations [s].
+        bent: (pieces, 2, dof) their accelerations at both ends [rad/s^2].
+    """
+
+    rows: Rows
+    bezier: FloatArray
+    duration: FloatArray
+    bent: FloatArray
+
+    @classmethod
+    def build(cls, rows: Rows) -> _Rest:
+        """Build it from its samples."""
+        bezier, duration = rows.pieces
+        return cls(rows, bezier, duration, accelerations(bezier, duration))
+
+    def positions(self, clock: FloatArray) -> FloatArray:
+        """(k, dof) configurations at (k,) times; clamped to the motion's ends."""
+        return evaluate(self.bezier, self.rows.time, clock)
+
+
 def _with_period(
-    rest: Rows, robot: Robot, period: float, wanted: Callable[[FloatArray], FloatArray], final_s: float
+    rest: _Rest, robot: Robot, period: float, wanted: Callable[[FloatArray], FloatArray], final_s: float
 ) -> tuple[Rows, FloatArray, FloatArray] | None:
     """Retime a motion at a fixed sampling period; None if not found."""
-    limits = _keep_or_repair(rest, robot, period)
-    rows = int((2.0 if final_s == 0.0 else 4.0) * rest.duration / period) + 64
+    limits, duration_s, rests = _keep_or_repair(rest, robot, period), rest.rows.duration, rest.rows.is_at_rest
+    rows = int((2.0 if final_s == 0.0 else 4.0) * duration_s / period) + 64
     while True:
         if rows > MOST_ROWS or rows * period > _LONGEST_S:
             raise OptionError(
-                "profile", "a function", f"factors with which a motion of {rest.duration:.4g} s at full speed ends "
+                "profile", "a function", f"factors with which a motion of {duration_s:.4g} s at full speed ends "
                 f"within {_LONGEST_S:g} s and {MOST_ROWS:,} samples; after {0.5 * rows * period:.4g} s it has not",
             )  # fmt: skip
         factors = wanted(np.arange(rows, dtype=np.float64) * period)
-        begin = _Begin.build(rest, period, float(factors[0]) if rest.is_at_rest(0) else 1.0)
-        bezier = np.ascontiguousarray(rest.pieces[0])
-        clocks = Clocks(bezier, np.array(rest.time), begin.points, begin.clock, begin.fade, factors)
+        begin = _Begin.build(rest, period, float(factors[0]) if rests(0) else 1.0)
+        clocks = Clocks(rest.bezier, np.array(rest.rows.time), begin.points, begin.clock, begin.fade, factors)
         final = rows if not math.isfinite(final_s) else math.ceil(final_s / period)
         outcome, count, clock, points = run_clock(clocks, limits, period, final)
         if outcome == 2:
@@ -114,7 +139,7 @@ def _with_period(
         if outcome == 0:
             break
         rows *= 2
-    if clock[count - 1] > rest.duration and not rest.is_at_rest(-1):
+    if clock[count - 1] > duration_s and not rests(-1):
         return None
     return _with_rows(rest, robot, period, clock[:count], points[:count])
 
@@ -134,7 +159,7 @@ class _Begin(NamedTuple):
     fade: FloatArray
 
     @classmethod
-    def build(cls, rest: Rows, period: float, factor: float) -> _Begin:
+    def build(cls, rest: _Rest, period: float, factor: float) -> _Begin:
         """Start from the state at a motion's first sample.
 
         Args:
@@ -142,28 +167,28 @@ class _Begin(NamedTuple):
             period: Time between samples [s].
             factor: Initial speed factor; 1 if the motion is not at rest there.
         """
-        q, v, a = rest.position[0], rest.velocity[0], rest.acceleration[0]
+        _, q, v, a = (values[0] for values in rest.rows[:4])
         points = points_of(q, v, a, period)
         clock = np.array([-1.0, 0.0, 1.0]) * (period * factor)
-        fade = np.zeros((3, rest.position.shape[1]))
+        fade = np.zeros((3, len(q)))
         if factor > 0.0 and (v.any() or a.any()):
             fade[0] = points[2] - rest.positions(clock[2:])[0]
             fade[1] = (fade[0] - (points[1] - q)) / period
         else:
             points[:] = q
             clock[:] = np.minimum(clock, 0.0)
-        fade[2, 0] = min(FADED * period, rest.duration - clock[2])
+        fade[2, 0] = min(FADED * period, rest.rows.duration - clock[2])
         return cls(points, clock, fade)
 
 
-def _keep_or_repair(rest: Rows, robot: Robot, period: float) -> Kept:
+def _keep_or_repair(rest: _Rest, robot: Robot, period: float) -> Kept:
     """Limits of a new timing: the robot's, or the motion's if higher."""
-    bezier, duration = rest.pieces
-    bent = accelerations(bezier, duration)
-    own = np.maximum(np.abs(bent).max(axis=(0, 1)), np.abs(rest.acceleration).max(axis=0))
+    _, _, velocity, acceleration, torque = rest.rows
+    bent, duration = rest.bent, rest.duration
+    own = np.maximum(np.abs(bent).max(axis=(0, 1)), np.abs(acceleration).max(axis=0))
     acceleration = _usable_limits(robot.acceleration_limit, own)
-    velocity = _usable_limits(robot.velocity_limit, np.abs(rest.velocity).max(axis=0))
-    torque = _usable_limits(robot.torque_limit, np.abs(rest.torque).max(axis=0))
+    velocity = _usable_limits(robot.velocity_limit, np.abs(velocity).max(axis=0))
+    torque = _usable_limits(robot.torque_limit, np.abs(torque).max(axis=0))
     jerk = np.full(robot.dof, np.inf)
     if robot.jerk_limit is not None:
         # A jump of the acceleration from one cubic to the next takes one period.
@@ -188,23 +213,23 @@ def _usable_limits(limit: FloatArray, own: FloatArray) -> FloatArray:
 
 
 def _with_rows(
-    rest: Rows, robot: Robot, period: float, clock: FloatArray, points: FloatArray
+    rest: _Rest, robot: Robot, period: float, clock: FloatArray, points: FloatArray
 ) -> tuple[Rows, FloatArray, FloatArray]:
     """Motion with given control points, original times, joint displacements off path."""
     states = sample_spline(points, period)
-    ends = zip(states, rest[1:4], (points[-1], 0.0, 0.0), strict=True)
+    ends = zip(states, rest.rows[1:4], (points[-1], 0.0, 0.0), strict=True)
     for values, first, last in ends:
         values[0], values[-1] = first[0], last
     torque = robot.dynamics.torques(*states)
-    torque[0] = rest.torque[0]
+    torque[0] = rest.rows.torque[0]
     rows = Rows(np.arange(len(torque), dtype=np.float64) * period, *states, torque)
     on_path = rest.positions(np.clip(clock, 0.0, None))
-    on_path += np.minimum(clock, 0.0)[:, None] * rest.velocity[0]  # before the seam the path is extended backwards
+    on_path += np.minimum(clock, 0.0)[:, None] * rest.rows.velocity[0]  # before the seam the path is extended backwards
     # From the path itself: the column of accelerations need not agree with it.
-    largest = np.abs(accelerations(*rest.pieces)).max(axis=(0, 1))
+    largest = np.abs(rest.bent).max(axis=(0, 1))
     step = float(np.diff(clock).max())
     off = np.abs(points - on_path)[1:].max(axis=0) + step**2 / 6.0 * largest
-    return rows, np.clip(clock[1:-1], 0.0, rest.duration), off
+    return rows, np.clip(clock[1:-1], 0.0, rest.rows.duration), off
 
 
 def speed_factors(profile: Profile) -> tuple[Callable[[FloatArray], FloatArray], float, float]:

@@ -88,7 +88,7 @@ def run_clock(clocks: Clocks, kept: Kept, period: float, final: int) -> tuple[in
         tau[k] = clocks.clock[k]
         for j in range(dof):
             points[k, j] = clocks.points[k, j]
-    found, work = np.empty((2, dof)), np.empty((4, dof))
+    found, work = np.empty((2, dof)), np.empty((7, dof))
     returns, back, farthest = 0, BACK, 2
     i = len(clocks.clock) - 1
     while i < rows - 1:
@@ -220,17 +220,14 @@ def _interval(
 def _torque(
     points: FloatArray, i: int, found: FloatArray, more: float, kept: Kept, period: float, work: FloatArray
 ) -> None:
-    """Write the torques at a sample into the third row of `work`.
+    """Write the torques at a sample into the third row of `work`; the last three rows are a buffer.
 
     The next point is moved on by `more`, a part of a step.
     """
     dof = points.shape[1]
-    state = np.empty((4, 1, dof))
     for j in range(dof):
         after = found[0, j] + more * found[1, j]
-        state[0, 0, j] = (points[i - 1, j] + 4.0 * points[i, j] + after) / 6.0
-        state[1, 0, j] = (after - points[i - 1, j]) / (2.0 * period)
-        state[2, 0, j] = (after - 2.0 * points[i, j] + points[i - 1, j]) / (period * period)
-    newton_euler(state[0], state[1], state[2], kept.bodies, kept.gravity, state[3])
-    for j in range(dof):
-        work[2, j] = state[3, 0, j]
+        work[4, j] = (points[i - 1, j] + 4.0 * points[i, j] + after) / 6.0
+        work[5, j] = (after - points[i - 1, j]) / (2.0 * period)
+        work[6, j] = (after - 2.0 * points[i, j] + points[i - 1, j]) / (period * period)
+    newton_euler(work[4:5], work[5:6], work[6:7], kept.bodies, kept.gravity, work[2:3])

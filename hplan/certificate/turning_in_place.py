@@ -7,7 +7,9 @@ pairs with it. The reported clearance includes such bodies, but not those on the
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pinocchio as pin
@@ -24,6 +26,9 @@ from hplan.scene.tracks import Movement
 
 #: Number of sampled times in the distance bound of a moving obstacle.
 _TIMES_PER_PIECE: Final = 257
+
+#: Distance up to which the bounds among static obstacles are known [m], and the bounds.
+_KNOWN: Final[WeakKeyDictionary[CoalScene, tuple[float, dict[tuple[str, str], float]]]] = WeakKeyDictionary()
 
 #: Rules of the listed pairs.
 _TURNS: Final = "they must not touch: it turns in place, so no joint moves it nearer"
@@ -54,6 +59,31 @@ def clearance_in_place(
         clearance: Clearance that all other pairs keep [m].
         most: Maximum distance of interest; larger ones are ignored [m].
     """
+    rules, least = list[PairRule](), float("inf")
+    for (link, obstacle), bound in _bounds_in_place(checker, span_s, most).items():
+        if bound <= BASE_DEPTH:
+            rules.append(PairRule(link, obstacle, f"not checked: {_TOUCHES}"))
+        elif bound <= most:
+            least = min(least, bound)
+            if bound < clearance:
+                rules.append(PairRule(link, obstacle, _TURNS, 0.0, bound))
+    return ClearanceInPlace(least, tuple(rules))
+
+
+def _bounds_in_place(checker: CoalScene, span_s: tuple[float, float], most: float) -> Mapping[tuple[str, str], float]:
+    """Lower bounds of the distances up to `most`, by link and obstacle; some larger ones too [m].
+
+    Among static obstacles they are computed once.
+    """
+    if checker.moving is not None or most < BASE_DEPTH:
+        return _compute_bounds(checker, span_s, most)
+    known = _KNOWN.get(checker)
+    if known is None or known[0] < most:
+        known = _KNOWN[checker] = 2.0 * most, _compute_bounds(checker, span_s, 2.0 * most)
+    return known[1]
+
+
+def _compute_bounds(checker: CoalScene, span_s: tuple[float, float], most: float) -> dict[tuple[str, str], float]:
     bounds = dict[tuple[str, str], float]()
     for base in base_bodies(checker.robot):
         for number in _nearby_obstacles(base, checker, most) if base.body.joint != GROUND else ():
@@ -67,15 +97,7 @@ def clearance_in_place(
                 bound = _lower_bound(base, (solid, ball), movement, span_s, most + off)
             key = base.body.name, solid.name
             bounds[key] = min(bound - off, bounds.get(key, np.inf))
-    rules, least = list[PairRule](), float("inf")
-    for (link, obstacle), bound in bounds.items():
-        if bound <= BASE_DEPTH:
-            rules.append(PairRule(link, obstacle, f"not checked: {_TOUCHES}"))
-        elif bound <= most:
-            least = min(least, bound)
-            if bound < clearance:
-                rules.append(PairRule(link, obstacle, _TURNS, 0.0, bound))
-    return ClearanceInPlace(least, tuple(rules))
+    return bounds
 
 
 def _nearby_obstacles(base: BaseBody, checker: CoalScene, most: float) -> list[int]:

@@ -15,6 +15,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.certificate.certificate import Certificate, Stretch, all_of, certify_among, stretches
 from hplan.certificate.limb_loads import gentle_speeds
+from hplan.certificate.limit_use import LimitUse
 from hplan.errors import CertificationError, TimingError
 from hplan.optimization.minimize_time import OptimizerEffort, minimize_time
 from hplan.optimization.options import PostprocessOptions
@@ -32,6 +33,12 @@ from hplan.trajectory.spline import SplinePath
 from hplan.trajectory.trajectory import Phase, Trajectory, join_trajectories
 
 _T = TypeVar("_T")
+
+#: Samples per second of a draft.
+_DRAFT_HZ = 100.0
+
+#: Certificate of a draft: nothing is proved about it.
+_NONE = Certificate(False, -math.inf, None, LimitUse(*[math.inf] * 4), 0, ("the motion is a draft",))
 _Whole: TypeAlias = tuple[tuple[Phase, ...], Trajectory, Certificate]
 
 
@@ -196,7 +203,7 @@ def improve(motion: Motion) -> Iterator[Motion]:
         spline = minimize_time(start, program, effort)
     if spline is not None and spline.duration < start.duration:
         quicker, certificate = certify_gently(problem, spline.trajectory(program.dynamics, program.rate_hz))
-        if certificate.verified and quicker.duration < start.duration:
+        if _is_usable(problem, certificate) and quicker.duration < start.duration:
             yield replace(motion, trajectory=quicker, certificate=certificate, path=spline.path)
 
 
@@ -276,7 +283,7 @@ def _optimize(
             motions = fastest_motions(starts, effort, quicker_than_s=quicker_than_s)
         for number, motion in motions:
             trajectory, certificate = certify_gently(problem, motion.trajectory(dynamics, rate_hz))
-            if certificate.verified:
+            if _is_usable(problem, certificate):
                 return _transit(problem, polylines[number], motion.path, trajectory, certificate)
     return None
 
@@ -309,7 +316,7 @@ def certified_trajectory(
         trajectory = time_along(problem, path, limits, grid)
         largest = np.abs(trajectory.velocity).max(axis=0) if speed == 1.0 else largest
         trajectory, certificate = certify_gently(problem, trajectory, among)
-        if certificate.verified:
+        if _is_usable(problem, certificate):
             break
     return trajectory, require_certificate(problem, certificate)
 
@@ -334,6 +341,8 @@ def time_along(
         TimingError: No timing satisfies the limits.
     """
     limits, rate_hz = motion_limits(problem) if limits is None else limits, problem.options.rate_hz
+    if problem.is_draft:
+        rate_hz = min(rate_hz, _DRAFT_HZ)
     with stage("timing"):
         return time_path(path, problem.robot.dynamics, limits, rate_hz=rate_hz, grid=grid)
 
@@ -347,6 +356,8 @@ def certify_gently(
         among: Returns the segments and obstacles to certify a trajectory against; None for the obstacles of the
             problem.
     """
+    if problem.is_draft:
+        return trajectory, _NONE
     quick, certificate = trajectory, certificate_of(problem, trajectory, None if among is None else among(trajectory))
     for ease_s in _EASE_S:
         if certificate.verified or _moves_goal_too_far(problem, certificate):
@@ -400,13 +411,18 @@ def certificate_of(
         )
 
 
+def _is_usable(problem: Problem, certificate: Certificate) -> bool:
+    """True if a motion is certified, or is a draft, which needs no certificate."""
+    return problem.is_draft or certificate.verified
+
+
 def require_certificate(problem: Problem, certificate: Certificate) -> Certificate:
     """The given certificate, if it is verified or need not be.
 
     Raises:
         CertificationError: The options require a certificate, and it is not verified.
     """
-    if problem.options.certify and not certificate.verified:
+    if problem.options.certify and not _is_usable(problem, certificate):
         nearest = None if certificate.nearest is None else certificate.nearest.obstacle
         named = nearest is not None and any(nearest in words for words in certificate.violations)
         raise CertificationError(

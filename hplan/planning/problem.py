@@ -45,6 +45,7 @@ class Problem(Record):
         spare_clearances: (n,) minimum clearance of start and goal beyond the required one [m]; inf without obstacles.
         movable: (k,) numbers of the joints that may move.
         other_world: The arm among other obstacles than the scene's; None for the scene's.
+        is_draft: True if motions are not certified: each only starts the optimizer of another one.
     """
 
     robot: Robot
@@ -58,6 +59,7 @@ class Problem(Record):
     spare_clearances: FloatArray
     movable: IntArray
     other_world: World | None = None
+    is_draft: bool = False
 
     @classmethod
     def from_scene(cls, robot: Robot, scene: Scene, options: PlanOptions) -> Problem:

@@ -71,7 +71,9 @@ def _plans_in_motion(problem: Problem, state: BoundaryState, solve: Solver, stop
     may_be_blended = options.objective == "duration" and options.tracking.delay_s == 0.0 and _is_within(problem, state)
     if may_be_blended:
         try:
-            planned = solve(problem)
+            # A motion to joints is certified once it is blended: its start, from rest, is a draft.
+            is_draft = problem.scene.goal.has_joints and problem.scene.wood is None
+            planned = solve(replace(problem, is_draft=is_draft))
             for plan in planned if options.deadline_s is not None else [best_of(planned)]:
                 blended = _blend_start(plan, state)
                 if blended is not None:
@@ -120,7 +122,7 @@ def _blend_start(plan: Plan, state: BoundaryState) -> Plan | None:
 
     A transit that already begins in motion is optimized.
     """
-    problem, transit = plan.transit.problem, plan.transit.trajectory
+    problem, transit = replace(plan.transit.problem, is_draft=False), plan.transit.trajectory
     if transit.samples == 1:
         return None
     ends = state, BoundaryState.of_row(transit, -1)
@@ -140,7 +142,7 @@ def _blend_start(plan: Plan, state: BoundaryState) -> Plan | None:
     certificate = certificate_of(problem, trajectory, rest_to_rest=False)
     if not certificate.verified:
         return None
-    blended = replace(plan.transit, trajectory=trajectory, certificate=certificate, path=spline.path)
+    blended = replace(plan.transit, trajectory=trajectory, certificate=certificate, problem=problem, path=spline.path)
     return replace(plan, transit=blended)
 
 

@@ -12,9 +12,10 @@ from planned import ABOVE, BAR, BELOW, at, between_rows, posed, post, task
 from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import CertificationError, NoPathError
-from hplan.planning.motion import Motion, certificate_of, require_certificate
+from hplan.planning.motion import Motion, best_of, certificate_of, require_certificate
 from hplan.planning.options import PlanOptions
-from hplan.planning.problem import merge_problems
+from hplan.planning.plans import plans_from_rest
+from hplan.planning.problem import Problem, merge_problems
 from hplan.planning.solver import best_motion, reuse_motion
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
@@ -108,3 +109,11 @@ def test_another_range_of_a_joint_is_another_task(robot: Robot, joint: str) -> N
         limits = np.array(getattr(changed, name))
         limits[0, place] = limits[0, place] - value  # narrower by a little
         assert reuse_motion(replace(changed, **{name: limits}), before) is None
+
+
+def test_draft_is_timed_but_not_verified(robot, scene):
+    problem = replace(Problem.from_scene(robot, scene, PlanOptions(effort="quick")), is_draft=True)
+    draft = best_of(plans_from_rest(problem.in_world(problem.world)))
+    assert draft.duration > 0.0
+    assert not draft.transit.certificate.verified
+    assert draft.transit.certificate.violations == ("the motion is a draft",)

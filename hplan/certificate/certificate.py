@@ -55,8 +55,9 @@ from hplan.certificate.clearance_curve import (
 )
 from hplan.certificate.clearance_proof import Proof, prove_clearance
 from hplan.certificate.digests import Digests
-from hplan.certificate.goal_contact import FruitContact, contact_window
-from hplan.certificate.limb_loads import goal_displacement, goal_swing, load_violations
+from hplan.certificate.goal_contact import REST, FruitContact, contact_window
+from hplan.certificate.goal_displacement import capture_violations, goal_displacement
+from hplan.certificate.limb_loads import load_violations
 from hplan.certificate.limit_use import LimitUse, limit_use
 from hplan.certificate.motion_bound import fastest, largest_deviations
 from hplan.certificate.moving_obstacles import checker_in_time, clear_until, end_violations, moving_base_contacts
@@ -84,9 +85,6 @@ from hplan.trajectory.trajectory import Trajectory, check_trajectory_joints
 
 #: Maximum use of a limit that counts as keeping it.
 LIMIT_TOLERANCE = 1.001
-
-#: Maximum speed that counts as rest [rad/s; m/s for prismatic joints].
-REST = 1e-6
 
 #: When the last link may touch the goal fruit: on a straight approach and its retreat, or during the whole motion.
 GoalContact: TypeAlias = Literal["approach", "motion"]
@@ -144,10 +142,10 @@ class Certificate:
         uncovered_links: Names of the visual links that no collision shape covers: nothing is proved about them.
         max_tilt_rad: Upper bound of the tilt of a tool that has to stay upright, at all times, tracking errors
             included [rad]; None in scenes without `upright`.
-        goal_displacement_m: Upper bound of the displacement of a grasped fruit by the limbs that are pushed at that
-            time [m]; None in scenes without `wood`, and without a fruit to grasp.
-        goal_swing_m: Upper bound of its swing about that place after contacts with its limb (`limb_loads.goal_swing`)
-            [m]; None as above.
+        goal_displacement_m: Upper bound of the displacement of a grasped fruit by the hand and by the limbs that are
+            pushed at that time (`hplan.certificate.goal_displacement`) [m]; None in scenes without `wood`, and without
+            a fruit to grasp.
+        goal_swing_m: Upper bound of its swing about that place after earlier contacts [m]; None as above.
     """
 
     verified: bool
@@ -196,8 +194,7 @@ class Certificate:
     @property
     def pushes_by_segment(self) -> tuple[Push, ...]:
         """Contacts with compliant obstacles within single segments; empty if they are unknown."""
-        motions = () if self.subject is None else self.subject.motions
-        return tuple(push for motion, backwards in motions if not backwards for push in motion.pushes_by_segment)
+        return () if self.subject is None else self.subject.pushes_by_segment
 
     @property
     def reversal(self) -> Certificate:
@@ -503,17 +500,11 @@ def certify_among(
     missing = [proof.clearance_m for proof in proofs if not proof.is_certified]
     least = min(missing or (proof.clearance_m for proof in proofs))
     motion = ProvedMotion(robot, trajectory, tuple(proved), clearance)
-    displacement = swing = None
+    subject, moved = Subject(((motion, False),)), None
     if not violations and any(checker.has_limbs for _, checker in among):
-        pushes = motion.pushes_by_segment
-        violations += load_violations(robot, pushes)
-        displacement, swing = _goal_displacement(motion, pushes)
-        allowed = min((limit.capture_range for _, limit in last.fruit_limits), default=math.inf)
-        if displacement is not None and displacement > allowed:
-            violations.append(
-                f"pushed limbs displace the fruit by up to {1e3 * displacement:.3g} mm at the grasp; allowed: "
-                f"{1e3 * allowed:g} mm"
-            )
+        violations += load_violations(robot, subject.pushes_by_segment)
+        moved = goal_displacement(subject)
+        violations += capture_violations(moved)
     in_place = clearance_in_place(last, (float(clock[0]), float(clock[-1])), clearance, least)
     return Certificate(
         verified=not violations,
@@ -522,35 +513,17 @@ def certify_among(
         limit_use=use,
         checks=sum(proof.checks for proof in proofs),
         violations=tuple(violations),
-        subject=Subject(((motion, False),)),
+        subject=subject,
         nearest_s=_nearest_s([proof.nearest for proof in proofs], seen_s),
         pair_rules=joined_rules([*rules, in_place.rules]),
         clear_until_s=None
         if last.moving is None or violations
         else clear_until(bezier[-1, -1], last, at_rest, clearance, clock[-1]),
         uncovered_links=robot.uncovered_links,
-        goal_displacement_m=displacement,
-        goal_swing_m=swing,
+        goal_displacement_m=None if moved is None else moved.held_m,
+        goal_swing_m=None if moved is None else moved.swing_m,
         max_tilt_rad=tilt,
     )
-
-
-def _goal_displacement(motion: ProvedMotion, pushes: Sequence[Push]) -> tuple[float | None, float | None]:
-    """Upper bounds of displacement and swing of grasped fruit by pushed limbs [m]; None without a fruit to grasp.
-
-    A fruit is grasped where the tool rests nearest to it while it may be touched.
-    """
-    found, swings, trajectory, robot = list[float](), list[float](), motion.trajectory, motion.robot
-    for part, checker, *_ in motion.stretches:
-        rows = np.arange(part.start, min(part.stop + 1, trajectory.samples))
-        speeds = np.abs(trajectory.velocity[rows]).max(axis=1)
-        resting = rows[speeds <= max(REST, float(speeds.min()))]
-        for center, limit in checker.fruit_limits:
-            apart = np.linalg.norm(robot.tool_positions(trajectory.position[resting]) - center, axis=1)
-            at = trajectory.time[resting[ties.argmin(apart)]]
-            found.append(goal_displacement(pushes, limit, float(at)))
-            swings.append(goal_swing(pushes, limit, float(at)))
-    return max(found, default=None), max(swings, default=None)
 
 
 def rest_violations(
@@ -606,26 +579,29 @@ def limit_violations(use: LimitUse, *, velocity_jumps: bool = False) -> Iterator
 def all_of(parts: Sequence[Certificate]) -> Certificate:
     """Certificate of a sequence of motions.
 
-    If obstacles move, all parts use the same clock.
+    If obstacles move, all parts use the same clock. What one part does to a fruit counts for its grasp in a later one.
     """
     if len(parts) == 1:
         return parts[0]
+    subject, moved = joined_subjects(part.subject for part in parts), None
+    if subject is not None and any(part.goal_displacement_m is not None for part in parts):
+        moved = goal_displacement(subject)
+    violations = dict.fromkeys(violation for part in parts for violation in part.violations)
+    violations |= dict.fromkeys(capture_violations(moved))
     return Certificate(
-        verified=all(part.verified for part in parts),
+        verified=not violations and all(part.verified for part in parts),
         min_clearance_m=min(part.min_clearance_m for part in parts),
         nearest=_nearest_of(part.nearest for part in parts),
         limit_use=LimitUse.largest(part.limit_use for part in parts),
         checks=sum(part.checks for part in parts),
-        violations=tuple(violation for part in parts for violation in part.violations),
-        subject=joined_subjects(part.subject for part in parts),
+        violations=tuple(violations),
+        subject=subject,
         nearest_s=_nearest_s([part.nearest for part in parts], [part.nearest_s for part in parts]),
         clear_until_s=parts[-1].clear_until_s if all(part.verified for part in parts) else None,
         pair_rules=joined_rules(part.pair_rules for part in parts),
         uncovered_links=tuple(dict.fromkeys(name for part in parts for name in part.uncovered_links)),
-        goal_displacement_m=max(
-            (p.goal_displacement_m for p in parts if p.goal_displacement_m is not None), default=None
-        ),
-        goal_swing_m=max((p.goal_swing_m for p in parts if p.goal_swing_m is not None), default=None),
+        goal_displacement_m=None if moved is None else moved.held_m,
+        goal_swing_m=None if moved is None else moved.swing_m,
         max_tilt_rad=max((p.max_tilt_rad for p in parts if p.max_tilt_rad is not None), default=None),
     )
 

@@ -189,16 +189,21 @@ class Subject(Record):
         return _one_after_the_other(found)
 
     @cached_property
-    def pushes(self) -> tuple[Push, ...]:
-        """Contacts with compliant obstacles, over the total time of all motions."""
+    def pushes_by_segment(self) -> tuple[Push, ...]:
+        """Contacts with compliant obstacles within single segments, over the total time of all motions."""
         found, begin = list[Push](), 0.0
         for motion, backwards in self.motions:
             duration = motion.trajectory.duration
-            for push in motion.pushes:
+            for push in motion.pushes_by_segment:
                 span = (duration - push.end_s, duration - push.begin_s) if backwards else (push.begin_s, push.end_s)
                 found.append(replace(push, begin_s=begin + span[0], end_s=begin + span[1]))
             begin += duration
-        return merge_contacts(found)
+        return tuple(found)
+
+    @cached_property
+    def pushes(self) -> tuple[Push, ...]:
+        """Contacts with compliant obstacles, merged over the total time of all motions."""
+        return merge_contacts(self.pushes_by_segment)
 
 
 def joined_subjects(parts: Iterable[Subject | None]) -> Subject | None:

@@ -44,6 +44,9 @@ from hplan.trajectory.trajectory import SAME_TIME
 #: Within this distance of its target point the tool counts as arrived [m].
 THERE = 1e-3
 
+#: Maximum speed that counts as rest [rad/s; m/s for prismatic joints].
+REST = 1e-6
+
 #: Maximum distance of the tool from its approach line [m], and maximum change of the last link's direction [rad].
 OFFSET, TURN = 5e-3, np.radians(2.0)
 

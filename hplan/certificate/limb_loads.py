@@ -15,14 +15,13 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 from hplan.base.arrays import FloatArray
 from hplan.certificate.pushes import Load, Push
 from hplan.robot.model import Robot
-from hplan.scene.obstacle_kind import ContactLimit
 
 
 def load_violations(robot: Robot, pushes: Sequence[Push]) -> Iterator[str]:
@@ -86,91 +85,6 @@ def _share_limb(one: Push, other: Push) -> bool:
     if one.load is None or other.load is None or one.load.limit.root != other.load.limit.root:
         return False
     return one.load.limit.root >= 0 and one.begin_s <= other.end_s and other.begin_s <= one.end_s
-
-
-def goal_displacement(pushes: Sequence[Push], fruit: ContactLimit, time_s: float) -> float:
-    """Upper bound of the displacement of a fruit's limb by the contacts at a time [m].
-
-    Of the contacts with limbs that carry the fruit, or grow from its limb, the largest counts: they are on one side,
-    and each deflects what is beyond it. Those with other limbs of the same root, and with other fruit, add up.
-
-    Args:
-        pushes: Contacts within single segments of a motion.
-        fruit: The fruit's own contact limit.
-        time_s: Time of the grasp [s].
-    """
-    contacts = _moved_limbs(pushes, fruit, time_s)
-    return sum(contact.last for contact in contacts if contact.end_s >= time_s)
-
-
-def goal_swing(pushes: Sequence[Push], fruit: ContactLimit, time_s: float) -> float:
-    r"""Upper bound of a fruit's swing about the place where contacts hold its limb [m].
-
-    Let contacts displace the point that the fruit hangs from by u. A fruit that swings about it with the frequency
-    :math:`\omega` and the damping ratio :math:`\zeta` is off by at most
-
-    .. math:: \int_0^t |\dot u(s)| e^{-\zeta \omega (t - s)} ds,
-
-    which is bounded for contacts that deepen once: a limb swings as far beyond its deflection, and as far back. Limbs
-    that are thrown ahead are not included.
-
-    Args:
-        pushes: Contacts within single segments of a motion.
-        fruit: The fruit's own contact limit.
-        time_s: Time of the grasp [s].
-    """
-    swing = 0.0
-    for contact in _moved_limbs(pushes, fruit, time_s):
-        left = contact.last if contact.end_s >= time_s else 0.0
-        swing += (2.0 * contact.most - left) * math.exp(-fruit.decay_rate * max(0.0, time_s - contact.end_s))
-    return swing
-
-
-class _MovedLimb(NamedTuple):
-    """Displacement of a fruit's limb by one contact.
-
-    Attributes:
-        end_s: End of the contact [s].
-        most: Largest displacement until a time [m].
-        last: The last displacement before it [m].
-    """
-
-    end_s: float
-    most: float
-    last: float
-
-
-def _moved_limbs(pushes: Sequence[Push], fruit: ContactLimit, time_s: float) -> list[_MovedLimb]:
-    """Displacements of a fruit's limb by the contacts that begin before a time."""
-    if fruit.displacement is None or fruit.root < 0:
-        return []
-    per_depth: dict[ContactLimit, tuple[float, bool]] = {}
-    of_bodies: dict[tuple[int, str], dict[tuple[float, float], float]] = defaultdict(dict)
-    for push in pushes:
-        load = push.load
-        if load is None or load.limit.root != fruit.root or push.begin_s > time_s:
-            continue
-        if load.limit not in per_depth:
-            per_depth[load.limit] = fruit.displacement(load.limit)
-        ratio, carries = per_depth[load.limit]
-        spans = of_bodies[-1 if carries else load.limit.segment, push.obstacle if load.limit.swing > 0.0 else ""]
-        span = push.begin_s, push.end_s
-        spans[span] = max(spans.get(span, 0.0), push.depth_m * ratio)
-    found = list[_MovedLimb]()
-    for spans in of_bodies.values():
-        contact: _MovedLimb | None = None
-        for (begin, end), size in sorted(spans.items()):
-            if contact is not None and begin <= contact.end_s + _TOUCHING_S:
-                contact = _MovedLimb(max(contact.end_s, end), max(contact.most, size), size)
-                found[-1] = contact
-            else:
-                contact = _MovedLimb(end, size, size)
-                found.append(contact)
-    return found
-
-
-#: Contacts with one limb that are less than this apart are one [s].
-_TOUCHING_S: Final = 1e-6
 
 
 def gentle_speeds(pushes: Sequence[Push], duration_s: float, ease_s: float) -> FloatArray | None:

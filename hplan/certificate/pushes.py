@@ -58,12 +58,15 @@ class Load(NamedTuple):
         share: Upper bound of the depth as a fraction of the limit's.
         speed: Upper bound of the speed of the link [m/s], or of that to which a contact of this depth accelerates the
             limb or fruit, if that is less.
+        whole_depth: Upper bound of the depth in a fruit as it hangs, which is not extended along its stalk [m]; 0 for
+            limbs.
     """
 
     limit: ContactLimit
     joint: int
     share: float
     speed: float
+    whole_depth: float = 0.0
 
     @property
     def force(self) -> float:
@@ -120,7 +123,8 @@ def pushes_along(
         bezier, pairs, checker.boxes, joints_as_pinocchio(checker.robot), checker.taken_off[pairs], mover_of,
         _Movers(travel, np.ascontiguousarray(nearer)),
     )  # fmt: skip
-    distances = np.full((rows + 1, len(pairs)), math.inf)
+    whole = checker.whole_fruit_pairs(pairs)
+    distances, from_whole = np.full((2, rows + 1, len(pairs)), math.inf)
     free_until = np.zeros(len(pairs), dtype=np.int64)
     for row in np.flatnonzero(asked.any(axis=1)).tolist():
         near = np.flatnonzero(asked[row] & (free_until <= row))
@@ -128,6 +132,8 @@ def pushes_along(
             continue
         search.place(point_at(bezier, float(row)), float(row))
         distances[row, near] = checker.distances_of(pairs[near]) - checker.distance_errors[pairs[near]]
+        fruit = near[whole[near] >= 0]
+        from_whole[row, fruit] = checker.whole_fruit_distances(pairs[fruit], whole[fruit])
         movers = mover_of[near]
         spare = np.maximum(distances[row, near] - nearer[movers, row], 0.0)
         far = spare > travel[movers, min(row + 1, rows)] - travel[movers, row]
@@ -138,32 +144,36 @@ def pushes_along(
     movers = mover_of[which]
     travelled = travel[movers, first + 1] - travel[movers, first]
     swayed = np.maximum(nearer[movers, first], nearer[movers, first + 1])
-    depths = swayed - 0.5 * (distances[first, which] + distances[first + 1, which] - travelled)
+    depths, in_whole = (
+        swayed - 0.5 * (found[first, which] + found[first + 1, which] - travelled) for found in (distances, from_whole)
+    )
     if proved:
         allowed = -np.broadcast_to(checker.required_distance(clearance), len(checker.pairs))
         depths = np.minimum(depths, allowed[pairs[which]])
     kept = np.flatnonzero(depths > 0.0)
-    columns = (first, which, depths, travelled + swayed)
-    for row, number, depth, moved in zip(*(column[kept].tolist() for column in columns), strict=True):
-        yield _push_of(checker, int(pairs[number]), depth, moved, (float(time[row]), float(time[row + 1])))
+    columns = (first, which, depths, np.maximum(0.0, in_whole), travelled + swayed)
+    for row, number, depth, deep, moved in zip(*(column[kept].tolist() for column in columns), strict=True):
+        yield _push_of(checker, int(pairs[number]), (depth, deep), moved, (float(time[row]), float(time[row + 1])))
 
 
-def _push_of(checker: CoalScene, pair: int, depth: float, moved: float, span_s: tuple[float, float]) -> Push:
+def _push_of(
+    checker: CoalScene, pair: int, depths: tuple[float, float], moved: float, span_s: tuple[float, float]
+) -> Push:
     """The contact of a pair.
 
     Args:
         checker: The arm among the obstacles.
         pair: Number of the pair.
-        depth: Upper bound of the deflection [m].
+        depths: Upper bounds of the deflection, and of the depth in a whole fruit [m].
         moved: Upper bound of the link's travel within the time [m].
         span_s: Begin and end [s].
     """
-    mover, other = checker.pairs[pair]
+    (mover, other), (depth, whole_depth) = checker.pairs[pair], depths
     names, limit = (checker.mover_names[mover], checker.obstacle_names[other]), checker.contact_limits[other]
     if limit is None or limit.depth <= 0.0:
         return Push(*names, depth, *span_s)
     speed = min(moved / max(span_s[1] - span_s[0], _TINY_S), limit.rate * depth)
-    load = Load(limit, checker.joint_of(pair), depth / limit.depth, speed)
+    load = Load(limit, checker.joint_of(pair), depth / limit.depth, speed, whole_depth)
     return Push(*names, depth, *span_s, load.force, 1e-6 * (load.stress + load.impact_stress), load)
 
 

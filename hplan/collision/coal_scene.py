@@ -486,6 +486,31 @@ class CoalScene:
         """
         return self._geometry.distances_of(pairs) - self._taken_off[pairs]
 
+    def whole_fruit_pairs(self, pairs: IntArray) -> IntArray:
+        """For `pairs` with a hanging fruit those with the whole fruit, (k,); -1 for others.
+
+        The solid that links push is extended along the stalk, and the whole fruit is a solid for the others.
+        """
+        rows = pairs % max(self.own_first, 1)
+        return np.where(self._whole_fruit[rows] >= 0, pairs - rows + self._whole_fruit[rows], -1)
+
+    @cached_property
+    def _whole_fruit(self) -> IntArray:
+        """(obstacles,) number of the whole fruit for each hanging fruit that is pushed; -1 for others."""
+        whole = {solid.name: row for row, solid in enumerate(self._built["obstacles"]) if solid.meets == "others"}
+        limits = zip(self.obstacle_names[: self.own_first], self.contact_limits, strict=True)
+        found = [-1 if limit is None or limit.swing == 0.0 else whole.get(name, -1) for name, limit in limits]
+        return np.array(found, dtype=np.int64)
+
+    def whole_fruit_distances(self, pairs: IntArray, whole: IntArray) -> FloatArray:
+        """Lower bounds of signed distances from whole fruit at the last placement, (k,) [m].
+
+        Args:
+            pairs: Pairs with the fruit that are pushed, whose position errors count.
+            whole: Those with the whole fruit, as from `whole_fruit_pairs`.
+        """
+        return self._geometry.distances_of(whole) - self._taken_off[pairs] - self.distance_errors[whole]
+
     @cached_property
     def boxes(self) -> PairBoxes:
         """Bounding boxes of bodies and obstacles; see `coal_boxes`."""

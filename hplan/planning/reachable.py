@@ -108,7 +108,7 @@ def reachable(
     with stage_clock(progress), time_limit(asked.deadline_s, cancel) as limit:
         try:
             whole = replace(asked, deadline_s=None)
-            problem = Problem.from_scene(robot, scene, whole)
+            problem = Problem.from_scene(robot, scene.without_goal_fruit, whole)
             problem.world.check_base()
             problem.from_configurations(problem.start, problem.start)
             found: dict[str, FruitReach] = {}

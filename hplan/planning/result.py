@@ -12,7 +12,8 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.lazy_import import InNotebook
-from hplan.certificate.certificate import REST, Certificate
+from hplan.certificate.certificate import Certificate
+from hplan.certificate.goal_contact import REST
 from hplan.certificate.retimed_certificate import CertifiedMotion, certified_retiming
 from hplan.geometry.polyline import path_length
 from hplan.planning.grasps import Grasp

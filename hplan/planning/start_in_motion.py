@@ -15,7 +15,8 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from hplan.base.arrays import frozen
-from hplan.certificate.certificate import LIMIT_TOLERANCE, REST, Certificate, all_of
+from hplan.certificate.certificate import LIMIT_TOLERANCE, Certificate, all_of
+from hplan.certificate.goal_contact import REST
 from hplan.certificate.start_state import start_state
 from hplan.errors import ConfigurationInCollisionError, HplanError, OptionError, UnavoidableContactError
 from hplan.optimization.minimize_time import TimedMotion, minimize_time

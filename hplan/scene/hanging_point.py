@@ -13,6 +13,7 @@ from hplan.base.arrays import FloatArray, Record, readonly
 from hplan.scene.limb_parts import TINY
 from hplan.scene.limbs import Limbs
 from hplan.scene.obstacle_kind import ContactLimit
+from hplan.scene.wood import MOST_SWING
 
 #: Number of normals for which the displacement of a limb by a pushed fruit is examined.
 _SPHERE: Final = 400
@@ -70,6 +71,30 @@ class HangingPoint(Record):
             own = limbs.compliance(limit.segment, along / float(limbs.length[limit.segment]), modulus)
             largest = max(largest, _largest_ratio(moved.T @ moved, across @ own[:3, :3] @ across.T))
         return largest, limit.segment in path or self.segment in other
+
+    def displacement_by_push(self, force: float, depth: float) -> float:
+        r"""Upper bound of the displacement of the fruit itself by a push with any normal [m].
+
+        If a push of the depth d and the force f displaces the limb by :math:`a` along the normal, and the fruit
+        relative to it by :math:`b`, then (Cauchy and Schwarz) the limb moves by at most
+        :math:`\sqrt{\lambda_{max}(C) f a}`, and the fruit by :math:`\sqrt{c f b}` more, where :math:`c` is the
+        compliance of a pendulum at rest, the softest that it has. As :math:`a + b \le d`, the sum is at most
+        :math:`\sqrt{(\lambda_{max}(C) + c) f d}`. The chord of a swing exceeds its part across the stalk.
+
+        Args:
+            force: Upper bound of the static force [N].
+            depth: Upper bound of the depth in the fruit [m].
+        """
+        cosine = math.sqrt(1.0 - MOST_SWING**2)
+        return math.sqrt(2.0 / (1.0 + cosine) * self._softest * force * depth)
+
+    @cached_property
+    def _softest(self) -> float:
+        """Largest compliance of limb and pendulum at rest [m/N]."""
+        limbs, cosine = self.limbs, math.sqrt(1.0 - MOST_SWING**2)
+        here = limbs.start[self.segment] + self.along * limbs.axis[self.segment]
+        limb = limbs.mutual_compliance((self.segment, self.segment), np.stack([here, here]), self.youngs_modulus[0])
+        return float(np.linalg.eigvalsh(limb)[-1]) + float(np.linalg.eigvalsh(self.swing)[-1]) / cosine
 
     def _ratio_by_fruit(self, limit: ContactLimit, other: HangingPoint) -> float:
         """Largest displacement per deflection of another fruit on the same limb.

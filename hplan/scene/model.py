@@ -394,6 +394,11 @@ class Scene(StrictModel):
         return next((item.name for item in (*self.obstacles, *self.fruits) if item.track is not None), None)
 
     @property
+    def without_goal_fruit(self) -> Scene:
+        """The scene in which any fruit may be the goal, as for tours; its goal is none."""
+        return self.copy_unchecked({"goal": self.goal.copy_unchecked({"fruit": None})}) if self.goal.fruit else self
+
+    @property
     def solids(self) -> tuple[Solid, ...]:
         """Solids that the arm must avoid: obstacles and fruits except the goal.
 

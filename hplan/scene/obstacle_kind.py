@@ -14,11 +14,11 @@ larger by `SWEPT_ERROR` cover the swept balls; if that needs too many points, fe
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, NamedTuple, Self, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, NamedTuple, Protocol, Self, TypeAlias
 
 import numpy as np
 from pydantic import AfterValidator, Field, PrivateAttr, model_validator
@@ -143,6 +143,16 @@ def _rotation(rpy_deg: tuple[float, float, float]) -> FloatArray:
     return readonly(rpy_rotation(*map(math.radians, rpy_deg)))
 
 
+class Hanging(Protocol):
+    """Point that a fruit hangs from (`hplan.scene.hanging_point`)."""
+
+    def __call__(self, limit: ContactLimit, /) -> tuple[float, bool]:
+        """Largest displacement per deflection of another part, and True if one of both carries the other."""
+
+    def displacement_by_push(self, force: float, depth: float) -> float:
+        """Upper bound of the displacement of the fruit itself by a push [m]."""
+
+
 class ContactLimit(NamedTuple):
     """What the deepest permitted contact does to a limb or a fruit, and what is allowed (`hplan.scene.limb_contacts`).
 
@@ -162,9 +172,7 @@ class ContactLimit(NamedTuple):
             accelerate it beyond the speed rate d.
         most_force: Allowed force [N].
         most_stress: Allowed bending stress [Pa].
-        displacement: For a fruit, function of the limit of a part of a limb or of another fruit: largest displacement
-            of the point that the fruit hangs from per deflection of the other, and True if one of two limbs carries the
-            other; None for limbs.
+        displacement: For a fruit the point that it hangs from, which is displaced by other contacts; None for limbs.
         decay_rate: For a fruit the minimum rate at which it comes to rest after its limb was displaced [1/s].
         capture_range: Allowed displacement of a fruit that is grasped [m].
     """
@@ -181,7 +189,7 @@ class ContactLimit(NamedTuple):
     rate: float
     most_force: float
     most_stress: float
-    displacement: Callable[[ContactLimit], tuple[float, bool]] | None
+    displacement: Hanging | None
     decay_rate: float
     capture_range: float
 

@@ -272,6 +272,7 @@ class TourPlanner:
             raise SceneError(
                 "plan a motion away from the obstacles first: tours begin clear", where="start.contact_depth"
             )
+        scene = scene.without_goal_fruit
         self.problem = Problem.from_scene(robot, scene, options)
         self.start = self.problem.start
         self.problem.world.check_base()
@@ -293,8 +294,8 @@ class TourPlanner:
         """Return the motions among a scene's solids, from the arm's stop."""
         loaded = None if self._carried is None else self._loaded(scene, self._carried)
         return Motions(
-            Problem.from_scene(self.robot, scene, self.options),
-            None if loaded is None else Problem.from_scene(self.robot, loaded, self.options),
+            Problem.from_scene(self.robot, scene.without_goal_fruit, self.options),
+            None if loaded is None else Problem.from_scene(self.robot, loaded.without_goal_fruit, self.options),
             here=here, home=Stop(self.start), drop=self._drop, every=self.tour.every or 1, back=self.tour.back,
         )  # fmt: skip
 

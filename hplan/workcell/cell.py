@@ -23,7 +23,6 @@ from hplan.base.arrays import FloatArray, IntArray, Record, readonly
 from hplan.base.lazy_import import InNotebook
 from hplan.base.units import FARTHEST_JOINT
 from hplan.certificate.certificate import (
-    REST,
     Certificate,
     GoalContact,
     MotionRates,
@@ -32,7 +31,7 @@ from hplan.certificate.certificate import (
     with_violations,
 )
 from hplan.certificate.digests import Digests
-from hplan.certificate.goal_contact import FruitContact
+from hplan.certificate.goal_contact import REST, FruitContact
 from hplan.certificate.limb_loads import shared_limb_violations
 from hplan.certificate.limit_use import LimitUse, limit_use
 from hplan.certificate.motion_bound import fastest

@@ -451,7 +451,7 @@ WOOD_MOVING = Study(
 
 # Picks.
 
-#: Distances of the trees from the arm [m].
+#: Distances of the trees from the arm [m]; --values distances overrides them.
 PICK_DISTANCES = (1.2, 1.5)
 
 #: Tracking error that picks allow for [rad], and the simulated controller.
@@ -479,7 +479,7 @@ def _picks(config: StudyConfig) -> Iterable[PickProblem]:
     found = [
         PickProblem(f"{file.stem} at {distance:g} m: {name}", file, distance, name)
         for file in sorted((config.trees or Path()).glob("*.csv"))
-        for distance in PICK_DISTANCES
+        for distance in config.values.get("distances", PICK_DISTANCES)
         for name in _within_reach(robot, _orchard(file, distance))
     ]
     return evenly_chosen(found, config.count, lambda problem: problem.tree.stem)

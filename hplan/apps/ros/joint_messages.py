@@ -29,7 +29,7 @@ from hplan.base.arguments import check_integer, file_path, instance, list_betwee
 from hplan.base.arrays import FloatArray, numbers
 from hplan.base.files import write_text
 from hplan.base.units import FARTHEST_JOINT
-from hplan.certificate.certificate import REST
+from hplan.certificate.goal_contact import REST
 from hplan.errors import InputError, OptionError
 from hplan.robot.model import Robot
 from hplan.trajectory.cubics import Interpolation

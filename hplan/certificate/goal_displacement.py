@@ -1,0 +1,192 @@
+r"""How far a fruit is displaced when it is grasped, by the hand and by pushed limbs.
+
+**Limbs.** Of the contacts with limbs that carry the fruit, or grow from its limb, the largest counts: they are on one
+side, and each deflects what is beyond it. Those with other limbs of the same root, and with other fruit, add up.
+
+**The hand.** The goal fruit of a scene is rigid, so nothing pushes it before the straight approach; fruit of a tour may
+be pushed until then. A push that lasts until then counts as held until the grasp: the hand takes the fruit in where it
+pushed it. On the approach the hand keeps within `hplan.certificate.goal_contact.OFFSET` of a line to the fruit's
+centre, and takes it in without pushing it. Without an approach the last link may touch the fruit at all times, and only
+other links count.
+
+**Swing.** Let contacts displace the point that the fruit hangs from by u. A fruit that swings about it with the
+frequency :math:`\omega` and the damping ratio :math:`\zeta` is off by at most
+
+.. math:: \int_0^t |\dot u(s)| e^{-\zeta \omega (t - s)} ds,
+
+which is bounded for contacts that deepen once: a limb swings as far beyond its deflection, and as far back. A link that
+meets the fruit itself with the speed v throws it ahead with at most 2 v, and so by at most :math:`2 v / \omega`, since
+energy is conserved. Limbs that are thrown ahead are not included.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from hplan.base import ties
+from hplan.certificate.clearance_curve import ProvedMotion, Subject
+from hplan.certificate.goal_contact import REST
+from hplan.certificate.pushes import Push
+from hplan.scene.obstacle_kind import ContactLimit
+from hplan.scene.wood import DAMPING_RATIO
+
+
+class GoalDisplacement(NamedTuple):
+    """Upper bounds for a grasped fruit, or the largest of several ones.
+
+    Attributes:
+        held_m: Displacement by the contacts that last until the grasp [m].
+        swing_m: Swing about that place after contacts with the fruit or its limb [m].
+        beyond_m: Largest amount by which `held_m` exceeds the capture range [m]; negative if it does not.
+    """
+
+    held_m: float
+    swing_m: float
+    beyond_m: float
+
+
+class Grasp(NamedTuple):
+    """A grasp of a hanging fruit.
+
+    Attributes:
+        fruit: The fruit's own contact limit.
+        touched_s: Time from which the hand may touch it [s].
+        time_s: Time of the grasp [s].
+    """
+
+    fruit: ContactLimit
+    touched_s: float
+    time_s: float
+
+
+def goal_displacement(subject: Subject) -> GoalDisplacement | None:
+    """Upper bounds over the grasps of a sequence of motions; None without a grasp of a hanging fruit."""
+    found, pushes = list[GoalDisplacement](), subject.pushes_by_segment
+    for grasp in _grasps(subject):
+        held = displacement_at(pushes, grasp)
+        found.append(GoalDisplacement(held, swing_at(pushes, grasp), held - grasp.fruit.capture_range))
+    return GoalDisplacement(*map(max, zip(*found, strict=True))) if found else None
+
+
+def capture_violations(moved: GoalDisplacement | None) -> list[str]:
+    """Message about a fruit that is displaced beyond the capture range, if there is one."""
+    if moved is None or moved.beyond_m <= 0.0:
+        return []
+    return [
+        f"hand and pushed limbs displace the fruit by up to {1e3 * moved.held_m:.3g} mm at the grasp; allowed: "
+        f"{1e3 * (moved.held_m - moved.beyond_m):g} mm"
+    ]
+
+
+def _grasps(subject: Subject) -> Iterator[Grasp]:
+    """Grasps of a sequence of motions.
+
+    A fruit is grasped where the tool rests nearest to it while it may be touched.
+    """
+    begin_s = 0.0
+    for motion, backwards in subject.motions:
+        duration_s = motion.trajectory.duration
+        for grasp in _grasps_of(motion):
+            if not backwards:
+                yield Grasp(grasp.fruit, begin_s + grasp.touched_s, begin_s + grasp.time_s)
+        begin_s += duration_s
+
+
+def _grasps_of(motion: ProvedMotion) -> Iterator[Grasp]:
+    trajectory, robot = motion.trajectory, motion.robot
+    touched_s = dict[ContactLimit, float]()
+    for part, checker, *_ in motion.stretches:
+        rows = np.arange(part.start, min(part.stop + 1, trajectory.samples))
+        speeds = np.abs(trajectory.velocity[rows]).max(axis=1)
+        resting = rows[speeds <= max(REST, float(speeds.min()))]
+        for center, limit in checker.fruit_limits:
+            first_s = touched_s.setdefault(limit, float(trajectory.time[part.start]))
+            apart = np.linalg.norm(robot.tool_positions(trajectory.position[resting]) - center, axis=1)
+            yield Grasp(limit, first_s, float(trajectory.time[resting[ties.argmin(apart)]]))
+
+
+def displacement_at(pushes: Sequence[Push], grasp: Grasp) -> float:
+    """Upper bound of the displacement by contacts that last until a grasp [m].
+
+    Args:
+        pushes: Contacts within single segments of a motion.
+        grasp: The grasp.
+    """
+    return sum(contact.last for contact in _contacts(pushes, grasp) if contact.end_s >= grasp.time_s)
+
+
+def swing_at(pushes: Sequence[Push], grasp: Grasp) -> float:
+    """Upper bound of the swing about the place where contacts hold a fruit [m].
+
+    Args:
+        pushes: Contacts within single segments of a motion.
+        grasp: The grasp.
+    """
+    swing, decay = 0.0, grasp.fruit.decay_rate
+    for contact in _contacts(pushes, grasp):
+        left = contact.last if contact.end_s >= grasp.time_s else 0.0
+        thrown = 2.0 * contact.speed * DAMPING_RATIO / decay if contact.speed > 0.0 else 0.0
+        swing += (2.0 * contact.most - left + thrown) * math.exp(-decay * max(0.0, grasp.time_s - contact.end_s))
+    return swing
+
+
+class _Contact(NamedTuple):
+    """Displacement of a fruit by one contact.
+
+    Attributes:
+        end_s: End of the contact [s].
+        most: Largest displacement until the grasp [m].
+        last: The last displacement before it [m].
+        speed: Largest speed of a link that pushes the fruit itself [m/s]; 0 for others.
+    """
+
+    end_s: float
+    most: float
+    last: float
+    speed: float
+
+
+def _contacts(pushes: Sequence[Push], grasp: Grasp) -> list[_Contact]:
+    """Displacements of a fruit by the contacts that begin before its grasp."""
+    fruit = grasp.fruit
+    if fruit.displacement is None:
+        return []
+    of_bodies: dict[tuple[int, str], dict[tuple[float, float], tuple[float, float]]] = defaultdict(dict)
+    for push in pushes:
+        load = push.load
+        if load is None or push.begin_s > grasp.time_s:
+            continue
+        is_own = load.limit.displacement is fruit.displacement
+        if not is_own and (fruit.root < 0 or load.limit.root != fruit.root):
+            continue
+        if is_own:
+            carries = False
+            moved = fruit.displacement.displacement_by_push(load.share * load.limit.force, load.whole_depth), load.speed
+        else:
+            ratio, carries = fruit.displacement(load.limit)
+            moved = push.depth_m * ratio, 0.0
+        key = -1 if carries else load.limit.segment, push.obstacle if load.limit.swing > 0.0 else ""
+        end_s = grasp.time_s if is_own and push.end_s >= grasp.touched_s - _TOUCHING_S else push.end_s
+        span = push.begin_s, end_s
+        known = of_bodies[key].get(span, (0.0, 0.0))
+        of_bodies[key][span] = max(known[0], moved[0]), max(known[1], moved[1])
+    found = list[_Contact]()
+    for spans in of_bodies.values():
+        contact: _Contact | None = None
+        for (begin, end), (size, speed) in sorted(spans.items()):
+            if contact is not None and begin <= contact.end_s + _TOUCHING_S:
+                contact = _Contact(max(contact.end_s, end), max(contact.most, size), size, max(contact.speed, speed))
+                found[-1] = contact
+            else:
+                contact = _Contact(end, size, size, speed)
+                found.append(contact)
+    return found
+
+
+#: Contacts with one limb that are less than this apart are one [s].
+_TOUCHING_S: Final = 1e-6

@@ -7,6 +7,8 @@ sway in the wind, and fruit hang from stalks that break.
 Each of three planners picks up to `FRUITS` of the fruit that it finds reachable. hplan's tours know how wood bends.
 They are certified for three standard deviations of what the planner sees, which cover the errors of base and camera,
 and for the tracking error, which leaves almost no fruit within reach; `--values sigmas=0 tracking=0.0005` covers less.
+With `--values looks=1` the camera sees the fruit once more from where the base stands, and the tree is registered to
+them, which leaves a tenth of the base's error.
 The recipe of MoveIt is RRTConnect, simplified and timed by toppra, with a padding of `PADDING_M`: once with all wood
 rigid, once without the wood that is thinner than the clamp radius. It picks the nearest fruit next and stops at
 stand-offs.
@@ -15,7 +17,7 @@ stand-offs.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -119,20 +121,29 @@ def true_scene(config: StudyConfig, file: Path) -> Scene:
     return scene.with_values(goal=Goal(joints_rad=joints))
 
 
-def seen_scene(scene: Scene, random: np.random.Generator) -> Scene:
-    """The scene as the planner sees it: from a base that is off, with noise in the positions of fruit."""
+def seen_scene(scene: Scene, random: np.random.Generator, *, looks: bool = False) -> Scene:
+    """The scene as the planner sees it: from a base that is off, with noise in the positions of fruit.
+
+    Args:
+        scene: The true scene.
+        random: Random number generator.
+        looks: True if the tree is registered to the fruit that the camera sees from the base.
+    """
     heading = float(random.uniform(0.0, 2.0 * math.pi))
     off = BASE_M * np.array([math.cos(heading), math.sin(heading), 0.0])
     seen = scene.shift(off, BASE_DEG * float(random.choice((-1.0, 1.0))))
+    base_sigma: Callable[[Sequence[float]], float] = _base_sigma
+    if looks:
+        seen, base_sigma = _registered(seen, scene, random)
     fruits = tuple(
         fruit.copy_unchecked({
             "center": tuple((np.array(fruit.center) + random.normal(scale=CAMERA_M, size=3)).tolist()),
-            "sigma": math.hypot(_base_sigma(fruit.center), CAMERA_M),
+            "sigma": math.hypot(base_sigma(fruit.center), CAMERA_M),
         })
         for fruit in seen.fruits
     )  # fmt: skip
     obstacles = tuple(
-        piece.copy_unchecked({"sigma": max(_base_sigma(point) for point in piece.core.tolist())})
+        piece.copy_unchecked({"sigma": max(base_sigma(point) for point in piece.core.tolist())})
         for piece in seen.obstacles
         if isinstance(piece, Convex)
     )
@@ -142,6 +153,30 @@ def seen_scene(scene: Scene, random: np.random.Generator) -> Scene:
 def _base_sigma(point: Sequence[float]) -> float:
     """Standard deviation of which `SIGMAS` are the largest error of a point by that of the base [m]."""
     return (BASE_M + math.radians(BASE_DEG) * math.hypot(*point[:2])) / SIGMAS
+
+
+def _registered(
+    seen: Scene, scene: Scene, random: np.random.Generator
+) -> tuple[Scene, Callable[[Sequence[float]], float]]:
+    """The scene moved to where the camera sees its fruit, and the standard deviation of a point by what remains [m].
+
+    Heading and shift are the least-squares fit of n fruit. A point is off by the shift of their centre, which has the
+    variance s^2 / n in each coordinate, and by the heading, with the variance s^2 over the fruit's squared distances
+    from their centre.
+    """
+    known, true = (np.array([fruit.center for fruit in one.fruits]) for one in (seen, scene))
+    found = true + random.normal(scale=CAMERA_M, size=true.shape)
+    center = found.mean(axis=0)
+    (x, y), (u, v) = (known - known.mean(axis=0))[:, :2].T, (found - center)[:, :2].T
+    heading, squares = math.atan2(float(x @ v - y @ u), float(x @ u + y @ v)), float(u @ u + v @ v)
+    turned = seen.shift(np.zeros(3), math.degrees(heading))
+    moved = turned.shift(center - np.mean([fruit.center for fruit in turned.fruits], axis=0))
+
+    def sigma(point: Sequence[float]) -> float:
+        apart = math.dist(point[:2], center[:2].tolist())
+        return CAMERA_M * math.sqrt(1.0 / len(found) + apart**2 / squares)
+
+    return moved, sigma
 
 
 def _plan_tour(config: StudyConfig, robot: Robot, seen: Scene) -> _Work:
@@ -231,7 +266,7 @@ def _try(config: StudyConfig, trial: Trial) -> Row:
     """Plan and execute; forces and damage beside the fruit picked."""
     robot, random = config.arm("orchard_harvester"), np.random.default_rng((config.seed, trial.number))
     scene = true_scene(config, trial.tree)
-    seen = seen_scene(scene, random)
+    seen = seen_scene(scene, random, looks=bool(config.values.get("looks", (0,))[0]))
     if trial.planner == PLANNERS[0]:
         work = _plan_tour(config, robot, seen)
     else:

@@ -60,7 +60,13 @@ from hplan.certificate.goal_displacement import capture_violations, goal_displac
 from hplan.certificate.limb_loads import load_violations
 from hplan.certificate.limit_use import LimitUse, limit_use
 from hplan.certificate.motion_bound import fastest, largest_deviations
-from hplan.certificate.moving_obstacles import checker_in_time, clear_until, end_violations, moving_base_contacts
+from hplan.certificate.moving_obstacles import (
+    checker_in_time,
+    clear_until,
+    end_violations,
+    moving_base_contacts,
+    prediction_violations,
+)
 from hplan.certificate.pair_rules import PairRule, joined_rules, pair_rules
 from hplan.certificate.pushes import Push
 from hplan.certificate.start_state import start_violations
@@ -493,6 +499,8 @@ def certify_among(
         violations += _not_shown(robot, proof, trajectory, part.start, wanted, seen_s[-1])
     proofs = [stretch.proof for stretch in proved]
     last = among[-1][1]
+    if last.moving is not None:
+        violations += prediction_violations(last.moving, float(clock[-1]))
     tilt = None
     if last.upright is not None:
         tilt = tool_bounds(robot, trajectory, last.upright, tracking).tilt_rad

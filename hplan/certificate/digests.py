@@ -30,7 +30,7 @@ from hplan.robot.model import Robot, made_once
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import FromData
 from hplan.scene.obstacles import Capsule
-from hplan.scene.tracks import Sway, Track
+from hplan.scene.tracks import Drift, Sway, Track
 from hplan.trajectory.trajectory import Trajectory, as_table
 
 
@@ -137,13 +137,14 @@ def scene_digest(scene: Scene) -> str:
     return found.word
 
 
-def _iterate_tracks(scene: Scene) -> Iterator[tuple[str, str, Track | Sway]]:
-    """Name, key and value of tracks and sways.
+def _iterate_tracks(scene: Scene) -> Iterator[tuple[str, str, Track | Drift | Sway]]:
+    """Name, key and value of tracks, drifts and sways.
 
     A JSON dump omits these.
     """
     for item in (*scene.obstacles, *scene.fruits):
-        for key, value in (("track", item.track), ("sway", item.sway)):
+        drift = None if item.track is None else item.track.drift
+        for key, value in (("track", item.track), ("drift", drift), ("sway", item.sway)):
             if value is not None:
                 yield item.name, key, value
     if scene.base_track is not None:

@@ -73,6 +73,21 @@ def leaving_of(robot: Robot, scene: Scene) -> Leaving | None:
     return Leaving(tuple(robot.joints_of(scene.start, "start").tolist()), scene.start.contact_depth)
 
 
+def prediction_violations(moving: MovingSolids, end_s: float) -> Iterator[str]:
+    """Messages about an obstacle that is not predicted up to the end of a motion.
+
+    Args:
+        moving: The obstacles.
+        end_s: End of the motion on the clock of the tracks [s].
+    """
+    until_s, name = moving.known_until
+    if end_s > until_s:
+        yield (
+            f"obstacle {name!r} is predicted until {until_s:.6g} s, the end of its track; the motion ends at "
+            f"{end_s:.6g} s"
+        )
+
+
 def moving_base_contacts(robot: Robot, moving: MovingSolids, begin_s: float, end_s: float) -> Iterator[str]:
     """Messages about moving obstacles that penetrate the base deeper than `BASE_DEPTH`.
 
@@ -107,9 +122,11 @@ def _too_deep(
     # the limit counts as too deep, so an obstacle that travels 100 m along the base may need more queries.
     most_looks = 100_000
     for _ in range(most_looks):
-        rotation, shift = movement.displacement_at(np.array([at]))
+        clock = np.array([at])
+        rotation, shift = movement.displacement_at(clock)
         # In the frame of the obstacle as the scene lists it.
         spare = distance(body, pin.SE3(rotation[0], shift[0]).inverse() * place) + BASE_DEPTH
+        spare -= float(movement.spread_at(clock)[0])
         if not spare > SMALLEST_STEP:
             return at
         upto = float(np.interp(at, breaks, travel)) + MOST_TRAVEL * spare
@@ -133,14 +150,17 @@ def clear_until(q: FloatArray, checker: CoalScene, deviations: FloatArray, neede
         from_s: Start of the rest [s].
 
     Returns:
-        The time; infinite if the clearance is certified for all times.
+        The time; infinite if the clearance is certified for all times. No later than the end of the first prediction.
     """
-    if checker.moving is None or from_s >= checker.moving.breaks[-1]:
+    if checker.moving is None:
         return math.inf
+    known_until_s, _ = checker.moving.known_until
+    if from_s >= checker.moving.breaks[-1]:
+        return known_until_s
     breaks = checker.moving.breaks
     clock = np.concatenate([[from_s], breaks[breaks > from_s]])
     still = np.tile(q, (len(clock) - 1, 4, 1))
     proof = prove_clearance(still, checker, deviations, needed, clock)
     if proof.is_certified:
-        return math.inf
-    return float(np.interp(proof.end, np.arange(len(clock)), clock))
+        return known_until_s
+    return min(known_until_s, float(np.interp(proof.end, np.arange(len(clock)), clock)))

@@ -133,8 +133,9 @@ def _lower_bound(
     centre, radius = base.centre, base.radius
     found = np.linalg.norm(rotations @ ball[:3] + shifts - centre, axis=1) - ball[3] - radius
     distance = distance_from(solid)
-    for number in np.flatnonzero(found <= most + float(travel.max())).tolist():
+    for number in np.flatnonzero(found <= most + float(travel.max() + movement.spread_at(times).max())).tolist():
         place = pin.SE3(rotations[number], shifts[number]).inverse() * base.place
         found[number] = distance(base.shape.geometry, place)
+    found = found - movement.spread_at(times)
     # Between two times the distance changes by no more than the obstacle's travel.
     return float((0.5 * (found[:-1] + found[1:] - travel)).min())

@@ -157,6 +157,27 @@ class MovingSolids(Record):
             found += [(number, pose * place) for number, place in listed]
         return found
 
+    @cached_property
+    def _drifting(self) -> tuple[tuple[int, Movement], ...]:
+        """Obstacles that may leave their tracks, with their movements."""
+        listed = enumerate(self.movements)
+        return tuple((n, how) for n, how in listed if how is not None and how.own.drift is not None)
+
+    @cached_property
+    def known_until(self) -> tuple[float, str]:
+        """Time until which all obstacles are predicted [s], and the first that is not afterwards; inf if always."""
+        times = ((how.known_until_s, self.solids[number].name) for number, how in self._drifting)
+        return min(times, default=(math.inf, ""))
+
+    def spreads(self, time_s: float) -> FloatArray | None:
+        """(obstacles,) maximum distances of the obstacles from `places` [m]; None if no obstacle has a drift."""
+        if not self._drifting:
+            return None
+        found, clock = np.zeros(len(self.solids)), np.array([time_s])
+        for number, movement in self._drifting:
+            found[number] = movement.spread_at(clock)[0]
+        return found
+
     def travels(self, clock: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Upper bound of the obstacles' travel between times, from their maximum speeds.
 

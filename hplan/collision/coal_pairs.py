@@ -86,6 +86,7 @@ class _QueryData(threading.local):
             thread-local lookup; None otherwise.
         elsewhere: Obstacles that are not at their initial pose, by model: their index in it and their pose.
         clouds: For displaced clouds, by index, the pose of the base in the cloud's frame.
+        nearer: (count,) distances by which pairs may be nearer than their poses say [m]; None for zero.
     """
 
     def __init__(
@@ -101,6 +102,7 @@ class _QueryData(threading.local):
         self.single = (self.arm, self.parts[0]) if alone else None
         self.elsewhere: dict[int, list[tuple[int, pin.SE3]]] = {}
         self.clouds: dict[int, pin.SE3] = {}
+        self.nearer: FloatArray | None = None
 
 
 class GeometryPairs:
@@ -133,7 +135,7 @@ class GeometryPairs:
         #: Pair indices of each model.
         self._numbers: list[IntArray] = []
         own = chosen if isinstance(chosen, ArmPairs) else None
-        first_own = len(movers) * len(obstacles)
+        self._first_own = first_own = len(movers) * len(obstacles)
         self._clouds = [(column, shape) for column, shape in enumerate(obstacles) if isinstance(shape, PointBlocks)]
         fixed = [(column, shape) for column, shape in enumerate(obstacles) if not isinstance(shape, PointBlocks)]
         #: Model and index in it of each obstacle.
@@ -190,10 +192,15 @@ class GeometryPairs:
         pin.forwardKinematics(self._model, query.arm, q)
         query.placed = object()
 
-    def move_obstacles(self, places: Iterable[tuple[int, pin.SE3]]) -> None:
+    def move_obstacles(self, places: Iterable[tuple[int, pin.SE3]], spreads: FloatArray | None) -> None:
         """Move obstacles, by index, in this thread until the next call.
 
         The caller must place the arm next.
+
+        Args:
+            places: Indices and poses.
+            spreads: (obstacles,) maximum distances of the obstacles from these poses, subtracted from the distances of
+                their pairs [m]; None for zero.
         """
         elsewhere: dict[int, list[tuple[int, pin.SE3]]] = {}
         for obstacle, place in places:
@@ -201,6 +208,10 @@ class GeometryPairs:
             elsewhere.setdefault(part, []).append((number, place if part != _CLOUDS else place.inverse()))
         self._query.elsewhere = elsewhere
         self._query.clouds = dict(elsewhere.get(_CLOUDS, ()))
+        self._query.nearer = None
+        if spreads is not None:
+            self._query.nearer = np.zeros(self.count)
+            self._query.nearer[: self._first_own] = np.tile(spreads, self._first_own // len(spreads))
 
     def distances(self, q: FloatArray) -> FloatArray:
         """Signed distances of all pairs at one configuration, (dof,) -> (count,) [m]."""
@@ -212,7 +223,7 @@ class GeometryPairs:
             found[numbers] = [result.min_distance for result in query.parts[part].results]
         for local, number in enumerate(self._of_clouds.tolist()):
             found[number] = self._cloud_distance(query, local)
-        return found
+        return found if query.nearer is None else found - query.nearer
 
     def distances_of(self, pairs: IntArray) -> FloatArray:
         """Signed distances of (k,) pairs at the last placement, (k,) [m]."""
@@ -220,7 +231,8 @@ class GeometryPairs:
         single = query.single
         if single is not None:  # The common case: no lookup of the pair's model.
             geometry, data = geometries[0], single[1].geometry
-            return np.array([pin.computeDistance(geometry, data, pair).min_distance for pair in pairs.tolist()])
+            near = np.array([pin.computeDistance(geometry, data, pair).min_distance for pair in pairs.tolist()])
+            return near if query.nearer is None else near - query.nearer[pairs]
         found = []
         for part, local in zip(self._part_of[pairs].tolist(), self._local[pairs].tolist(), strict=True):
             if part < 0:
@@ -229,7 +241,8 @@ class GeometryPairs:
             data = query.parts[part]
             placed = data.geometry if data.placed is query.placed else self._placed_data(query, part)
             found.append(pin.computeDistance(geometries[part], placed, local).min_distance)
-        return np.array(found, dtype=np.float64)
+        near = np.array(found, dtype=np.float64)
+        return near if query.nearer is None else near - query.nearer[pairs]
 
     def in_collision(self, configurations: FloatArray, margins: FloatArray) -> BoolArray:
         """(n,) mask of configurations that violate some pair's margin.

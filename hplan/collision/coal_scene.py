@@ -477,7 +477,7 @@ class CoalScene:
         if self.moving is not None:
             if time_s is None:
                 raise MovingObstacleError(self.obstacle_names[self.moving.numbers[0]])
-            self._geometry.move_obstacles(self.moving.places(time_s))
+            self._geometry.move_obstacles(self.moving.places(time_s), self.moving.spreads(time_s))
 
     def distances_of(self, pairs: IntArray) -> FloatArray:
         """Signed distances of some `pairs`, (k,) indices -> (k,) [m].

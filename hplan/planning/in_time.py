@@ -30,6 +30,7 @@ from hplan.scene.fruit import Fruit
 from hplan.scene.model import Scene, Start
 from hplan.scene.obstacle_kind import transform_fields
 from hplan.scene.obstacles import AnyObstacle, Sphere
+from hplan.scene.tracks import Movement, Track
 from hplan.trajectory.trajectory import Phase, Trajectory, join_trajectories, scale_motion
 
 
@@ -274,7 +275,8 @@ def among_poses(scene: Scene, from_s: float, to_s: float) -> Scene:
         for number in _choose_poses(steps):
             name = f"{item.name} at {clock[number]:.3f} s"
             update = transform_fields(item, rotations[number], shifts[number])
-            obstacles.append(item.copy_unchecked(update | {"name": name}))
+            pose = item.copy_unchecked(update | {"name": name})
+            obstacles.append(_within_drift(pose, item.track, float(clock[number])))
     return scene.copy_unchecked({"obstacles": tuple(obstacles), "fruits": still_fruits, "base_track": None})
 
 
@@ -293,6 +295,17 @@ def _enclosing_ball(fruit: Fruit) -> Sphere:
     """A fruit as an obstacle."""
     keys = ("name", "center", "radius", "sigma", "track", "sway", "yields")
     return Sphere(**{key: getattr(fruit, key) for key in keys})
+
+
+def _within_drift(pose: AnyObstacle, track: Track | None, time_s: float) -> AnyObstacle:
+    """A ball that contains all places of a drifting obstacle at a time; the pose itself without a drift."""
+    spread = float(Movement.relative_to(track, None).spread_at(np.array([time_s]))[0])
+    if spread == 0.0:
+        return pose
+    points = _core_points(pose)
+    centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    radius = float(np.linalg.norm(points - centre, axis=1).max()) + max(solid.rounding for solid in pose.solids)
+    return Sphere(name=pose.name, center=tuple(centre.tolist()), radius=radius + spread, sigma=pose.sigma)
 
 
 def _core_points(item: AnyObstacle) -> FloatArray:

@@ -59,6 +59,7 @@ class MovingField:
     Attributes:
         at_rest_s: Time after which nothing moves [s].
         goal_rests_s: Time from which the goal fruit rests; -inf without one [s].
+        known_until_s: Time until which all obstacles are predicted; inf if always [s].
     """
 
     def __init__(self, robot: Robot, scene: Scene, *, sigmas: Sigmas, tracking_error: float) -> None:
@@ -80,6 +81,7 @@ class MovingField:
         self._robot, self._deviation = robot, tracking_error
         self._rates = [(how.breaks, how.rates(solid.core, solid.rounding)) for solid, how in self._moving]
         self.at_rest_s = scene.at_rest_s
+        self.known_until_s = min((how.known_until_s for _, how in moving), default=math.inf)
         self.goal_rests_s = (scene.resting_goal_fruit or (None, -math.inf))[1]
         # The goal fruit is an obstacle of the path once it rests.
         ends = (self.goal_rests_s if solid.name == scene.goal.fruit else math.inf for solid, _ in self._moving)
@@ -94,7 +96,8 @@ class MovingField:
         clock = np.array([time_s])
         poses = {id(how): tuple(part[0] for part in how.displacement_at(clock)) for _, how in self._moving}
         solids = tuple(transform_solid(solid, *poses[id(how)]) for solid, how in self._moving)
-        field = replace(self._linked, solids=solids).field(self._robot, deviation=self._deviation)
+        growth = self._linked.growth + [how.spread_at(clock)[0] for _, how in self._moving]
+        field = replace(self._linked, solids=solids, growth=growth).field(self._robot, deviation=self._deviation)
         return field.select((time_s if from_s is None else from_s) < self._until_s, arm=False)
 
     def travel(self, from_s: float, to_s: float) -> float:
@@ -144,7 +147,8 @@ class PathInTime:
         if self._last is None or self._last[0] != row:
             time_s = row * self.step_s
             begin_s, end_s = max(0.0, time_s - self._half), time_s + self._half
-            clear = self._clear(np.arange(len(self.configurations)), begin_s, end_s)
+            stations, is_known = np.arange(len(self.configurations)), end_s <= self._field.known_until_s
+            clear = self._clear(stations, begin_s, end_s) if is_known else np.zeros(len(stations), dtype=np.bool_)
             self._last = row, clear if begin_s >= self._field.goal_rests_s else clear & self._is_before_grasp
         return self._last[1]
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from hplan.scene.model import FORMAT, Goal, Scene, Start, with_limbs
     from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, PointCloud, Sphere
     from hplan.scene.steps import Step
-    from hplan.scene.tracks import Sway, Track
+    from hplan.scene.tracks import Drift, Sway, Track
     from hplan.scene.upright import Upright
     from hplan.scene.wood import LimbLimits, Wood
 
@@ -35,6 +35,7 @@ __all__ = [
     "Box",
     "Capsule",
     "Cylinder",
+    "Drift",
     "Fruit",
     "Goal",
     "LimbLimits",
@@ -66,7 +67,7 @@ __getattr__ = lazy_names(
         "hplan.scene.model": "FORMAT Goal Scene Start with_limbs",
         "hplan.scene.obstacles": "Box Capsule Cylinder Mesh Obstacle PointCloud Sphere",
         "hplan.scene.steps": "Step",
-        "hplan.scene.tracks": "Sway Track",
+        "hplan.scene.tracks": "Drift Sway Track",
         "hplan.scene.upright": "Upright",
         "hplan.scene.wood": "LimbLimits Wood",
     },

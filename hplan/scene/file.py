@@ -186,7 +186,8 @@ def _dump(part: BaseModel, exclude: set[str] | None = None) -> dict[str, Any]:
     for key, field in type(part).model_fields.items():
         value = getattr(part, key)
         if field.exclude and value != field.default:
-            content[key] = to_jsonable_python(value, exclude_none=True)
+            is_part = isinstance(value, BaseModel)
+            content[key] = _dump(value) if is_part else to_jsonable_python(value, exclude_none=True)
     return content
 
 

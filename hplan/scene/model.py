@@ -319,6 +319,17 @@ class Scene(StrictModel):
         return self
 
     @model_validator(mode="after")
+    def _is_certain_where_needed(self) -> Scene:
+        """Refuse a drift of the base, whose motion is known, and of the goal fruit, whose place of rest must be."""
+        if self.base_track is not None and self.base_track.drift is not None:
+            raise fault("expected none: a base_track is exact; give the obstacles drifts", "base_track", "drift")
+        for index, fruit in enumerate(self.fruits):
+            if fruit.name == self.goal.fruit and fruit.track is not None and fruit.track.drift is not None:
+                message = "expected none for the goal fruit: it is touched where its track ends; use sigma"
+                raise fault(message, "fruits", index, "track", "drift")
+        return self
+
+    @model_validator(mode="after")
     def _base_is_level(self) -> Scene:
         """Refuse a base that tilts below a tool that has to stay upright: its tilt is measured in `base_link`."""
         if self.upright is not None and self.base_track is not None:

@@ -1,4 +1,4 @@
-r"""Motion of an obstacle: tracks (piecewise linear poses) and sway (oscillation).
+r"""Motion of an obstacle: tracks (piecewise linear poses), drift (bounded error of a track), sway (oscillation).
 
 A track is defined from the first to the last of its times. Before and after, the obstacle keeps its first and its last
 pose. Times count from the start of the motion.
@@ -14,6 +14,15 @@ and :math:`v, \omega` speeds. Then
 with the maximum over an interval between times of either track. Velocities and angular speeds are constant in it. The
 distance :math:`|T_o c - p|` is at most the distance of two linearly moving points, the solid's centre of rotation
 :math:`a` and :math:`p`, which is maximal at an end of the interval, plus :math:`|c - a|`.
+
+**Drift.** An obstacle that is predicted, not controlled, is shifted from its track at time :math:`t` by at most
+
+.. math:: \rho(t) = r + v (t - t_0) + \tfrac{1}{2} a (t - t_0)^2.
+
+At the track's first time :math:`t_0` its position was known within :math:`r` and its velocity within :math:`v`; since
+then its acceleration has differed from the track's by at most :math:`a`. Distances are reduced by the piecewise linear
+interpolation of :math:`\rho`, which is nowhere smaller since :math:`\rho` is convex, and its slopes are added to the
+speeds above. After the track's last time nothing is known.
 """
 
 from __future__ import annotations
@@ -31,9 +40,40 @@ from hplan.base.arrays import FloatArray, Record, frozen, readonly
 from hplan.base.checked import StrictModel, fault
 from hplan.errors import OptionError
 from hplan.geometry.rotation import rpy_rotation
-from hplan.scene.limits import LONGEST_S, MOST_TRACK_POINTS, Angles, Size, Vector
+from hplan.scene.limits import FARTHEST_M, LONGEST_S, MOST_TRACK_POINTS, Angles, Size, Vector
 
 Time: TypeAlias = Annotated[float, Field(ge=-LONGEST_S, le=LONGEST_S)]
+
+#: A bound of a drift, in SI units.
+Bound: TypeAlias = Annotated[float, Field(ge=0.0, le=FARTHEST_M)]
+
+#: Maximum excess of a drift's piecewise linear bound [m], and maximum number of its pieces.
+_CHORD_M, _MOST_PIECES = 1e-3, 200
+
+
+class Drift(StrictModel):
+    """Bound of an obstacle's distance from its track, growing from the first time of the track.
+
+    The obstacle is predicted up to the last time of its track; no motion is certified for longer.
+
+    Attributes:
+        radius_m: Maximum error of the position at the first time of the track [m].
+        speed_m_s: Maximum error of the velocity at that time [m/s].
+        acceleration_m_s2: Maximum difference of the acceleration from the track's at all later times [m/s^2].
+
+    Examples:
+        >>> from hplan.scene import Drift
+        >>> Drift(radius_m=0.01, speed_m_s=0.1, acceleration_m_s2=2.0).spread_after(0.5)
+        0.31
+    """
+
+    radius_m: Bound = 0.0
+    speed_m_s: Bound = 0.0
+    acceleration_m_s2: Bound = 0.0
+
+    def spread_after(self, time_s: float) -> float:
+        """Return the maximum distance from the track a time after its first time [m]."""
+        return self.radius_m + time_s * (self.speed_m_s + 0.5 * time_s * self.acceleration_m_s2)
 
 
 class Track(StrictModel):
@@ -47,6 +87,7 @@ class Track(StrictModel):
         shifts_m: Shift at each time [m].
         rpy_deg: Rotation at each time, by roll, pitch and yaw about the fixed axes x, y, z [deg]; None for no rotation.
         about: Centre of rotation at the listed pose [m]; required with `rpy_deg`, else None.
+        drift: Bound of the distance from this track; None if the obstacle follows it exactly.
 
     Examples:
         >>> from hplan.scene import Track
@@ -60,6 +101,7 @@ class Track(StrictModel):
     shifts_m: tuple[Vector, ...]
     rpy_deg: tuple[Angles, ...] | None = None
     about: Vector | None = None
+    drift: Annotated[Drift | None, Field(exclude=True)] = None  # digests of exact tracks are those of earlier versions
 
     @model_validator(mode="after")
     def _is_a_track(self) -> Track:
@@ -159,12 +201,14 @@ class Poses(Record):
         shifts: (n, 3) shifts [m].
         rotations: (n, 3, 3) rotations.
         about: (3,) centre of rotation before the shift [m].
+        drift: Bound of the distance from these poses; None for exact ones.
     """
 
     times: FloatArray
     shifts: FloatArray
     rotations: FloatArray
     about: FloatArray
+    drift: Drift | None = None
 
     @classmethod
     def from_track(cls, track: Track | None) -> Poses:
@@ -172,7 +216,7 @@ class Poses(Record):
         if track is None:
             return cls(np.zeros(2), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)), np.zeros(3))
         about = np.zeros(3) if track.about is None else np.array(track.about)
-        return cls(np.array(track.times_s), np.array(track.shifts_m), track.rotations, about)
+        return cls(np.array(track.times_s), np.array(track.shifts_m), track.rotations, about, track.drift)
 
     @cached_property
     def turns(self) -> FloatArray:
@@ -180,6 +224,18 @@ class Poses(Record):
         if (self.rotations == self.rotations[:1]).all():
             return frozen(np.zeros((len(self.times) - 1, 3)))
         return frozen(rotation_vectors(self.rotations))
+
+    @cached_property
+    def spreads(self) -> tuple[FloatArray, FloatArray]:
+        """Times [s] and maximum distances from these poses [m] at them, linear between; without a drift none."""
+        if self.drift is None:
+            return np.zeros(0), np.zeros(0)
+        span_s = float(self.times[-1] - self.times[0])
+        # The chord of rho over a step h exceeds it by at most a h^2 / 8.
+        pieces = math.ceil(span_s * math.sqrt(self.drift.acceleration_m_s2 / (8.0 * _CHORD_M)))
+        times = np.linspace(self.times[0], self.times[-1], min(max(1, pieces), _MOST_PIECES) + 1)
+        after = (times - self.times[0]).tolist()
+        return frozen(times), frozen(np.array([self.drift.spread_after(time) for time in after]))
 
     def poses_at(self, clock: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return rotations and centres of rotation at times.
@@ -235,7 +291,17 @@ class Movement(Record):
     @cached_property
     def breaks(self) -> FloatArray:
         """(m,) times of possible speed changes; static before and after [s]."""
-        return frozen(np.unique(np.concatenate([part.times for part in (self.own, self.base)])))
+        return frozen(np.unique(np.concatenate([self.own.times, self.base.times, self.own.spreads[0]])))
+
+    @property
+    def known_until_s(self) -> float:
+        """Time until which the obstacle is predicted; inf without a drift [s]."""
+        return math.inf if self.own.drift is None else float(self.own.times[-1])
+
+    def spread_at(self, clock: FloatArray) -> FloatArray:
+        """(k,) maximum distances from the poses of `displacement_at` at (k,) times [m]."""
+        times, spreads = self.own.spreads
+        return np.interp(clock, times, spreads) if len(times) else np.zeros(len(clock))
 
     def displacement_at(self, clock: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return rotations and shifts at times.
@@ -255,7 +321,7 @@ class Movement(Record):
         return back @ rotation, (back @ shift[:, :, None])[:, :, 0] + self.base.about
 
     def rates(self, core: FloatArray, rounding: float) -> FloatArray:
-        """Upper bounds of a solid's point speeds between `breaks` [m/s].
+        """Upper bounds of a solid's point speeds between `breaks`, growth of the drift included [m/s].
 
         Args:
             core: (k, 3) points of the listed solid [m].
@@ -267,6 +333,10 @@ class Movement(Record):
         middle = 0.5 * (self.breaks[:-1] + self.breaks[1:])
         (velocity, turning), (base_velocity, base_turning) = self.own.speeds(middle), self.base.speeds(middle)
         rates: FloatArray = np.linalg.norm(velocity - base_velocity, axis=1)
+        if self.own.drift is not None:
+            times, spreads = self.own.spreads
+            piece = np.searchsorted(times, middle)
+            rates = rates + np.concatenate([[0.0], np.diff(spreads) / np.diff(times), [0.0]])[piece]
         if turning.any():
             rates = rates + turning * (np.linalg.norm(core - self.own.about, axis=1).max() + rounding)
         if base_turning.any():

@@ -20,7 +20,7 @@ from hplan.robot.model import Robot
 from hplan.scene.fruit import Fruit
 from hplan.scene.model import Goal
 from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
-from hplan.scene.tracks import Sway, Track
+from hplan.scene.tracks import Drift, Sway, Track
 
 REST = (0.0, 45.0, 45.0, 45.0)
 AWAY = (60.0, 30.0, 50.0, 40.0)
@@ -103,6 +103,49 @@ def test_grazing_pass_is_decided_to_a_tenth_of_a_millimetre(robot):
         assert shown(certificate) == (gap > 0.0)
         assert certificate.nearest_s == pytest.approx(1.0, abs=0.05)
         assert certificate.nearest.distance_m == pytest.approx(gap, abs=3e-4)
+
+
+@settings(max_examples=15)
+@given(coordinates, *(st.floats(0.0, 0.3),) * 2, st.floats(0.0, 2.0), st.floats(-0.2, 0.4), st.integers(0, 3))
+def test_drift_is_kept_clear_of_at_all_times(robot, shift, radius, speed, acceleration, begin, row):
+    """Certified distances hold for the obstacle anywhere within its drift, by coal and the formula."""
+    motion = quintic(robot, REST, AWAY, duration=1.0, count=51)
+    middle = robot.tool_positions(motion.position[16 * row])
+    drift = Drift(radius_m=radius, speed_m_s=speed, acceleration_m_s2=acceleration)
+    path = track((0.0, shift), (1.5, tuple(-x for x in shift)), drift=drift)
+    ball = Sphere(name="ball", center=tuple(middle.tolist()), radius=0.05, track=path)
+    scene = scene_of(REST, AWAY, [ball])
+    certificate = certify(robot, scene, motion, begin_s=begin)
+    least = math.inf
+    for time in np.linspace(0.0, motion.duration, 101):
+        at = begin + time
+        near = coal_distances(robot, motion.positions(np.array([time]))[0], scene.snapshot(at).obstacles).min()
+        least = min(least, near - drift.spread_after(max(0.0, at)))
+    if shown(certificate):
+        assert least >= certificate.min_clearance_m - 1e-6 > -1e-6
+    else:
+        assert least < 0.03  # between two times the obstacle and a link come that much nearer
+
+
+def test_motion_is_not_certified_beyond_a_prediction(robot):
+    motion = quintic(robot, REST, AWAY, duration=3.0)
+    far = track((0.0, (0.0, 0.0, 0.0)), (5.0, (0.0, 0.0, 0.0)), drift=Drift(radius_m=0.01))
+    scene = scene_of(REST, AWAY, [Sphere(name="ball", center=(0.0, 0.0, 9.0), radius=0.1, track=far)])
+    assert certify(robot, scene, motion).clear_until_s == 5.0
+    late = certify(robot, scene, motion, begin_s=2.5)
+    assert late.violations == (
+        "obstacle 'ball' is predicted until 5 s, the end of its track; the motion ends at 5.5 s",
+    )
+    assert late.clear_until_s is None
+
+
+def test_drift_may_not_lead_into_the_base(robot):
+    motion = quintic(robot, REST, AWAY, duration=3.0)
+    for acceleration in (0.0, 1.0):
+        still = track((0.0, (0.0,) * 3), (4.0, (0.0,) * 3), drift=Drift(acceleration_m_s2=acceleration))
+        crate = Box(name="crate", center=(-2.0, 0.0, 0.1), size=(0.2, 0.2, 0.2), track=still)
+        certificate = certify(robot, scene_of(REST, AWAY, [crate]), motion)
+        assert any("comes into the robot's" in each for each in certificate.violations) == (acceleration > 0.0)
 
 
 def tip_before(robot: Robot) -> np.ndarray:

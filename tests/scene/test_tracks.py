@@ -23,7 +23,7 @@ from hplan.scene.fruit import Fruit
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacle_kind import SWEPT_ERROR, transform_solid
 from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Solid, Sphere
-from hplan.scene.tracks import Sway, Track
+from hplan.scene.tracks import Drift, Sway, Track
 
 TURNING = Track(
     times_s=(0.5, 1.0, 3.0),
@@ -75,6 +75,45 @@ def test_scene_survives_writing_and_reading(tmp_path):
     assert parse_scene(dump_scene(read), path=tmp_path / "scene.yaml") == read
 
 
+def test_drift_survives_writing_and_reading(tmp_path):
+    drifting = Track(times_s=(0.0, 1.0), shifts_m=((0.0,) * 3,) * 2, drift=Drift(acceleration_m_s2=2.0))
+    scene = a_scene(Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1, track=drifting))
+    read = load_scene(save_scene(scene, tmp_path / "scene.yaml"))
+    assert read.obstacles[0].track == drifting
+    exact = a_scene(scene.obstacles[0].model_copy(update={"track": drifting.model_copy(update={"drift": None})}))
+    assert scene_digest(read) == scene_digest(scene) != scene_digest(exact)
+    assert read.starting_at(0.5).obstacles[0].track.drift == drifting.drift
+
+
+def test_goal_fruit_and_base_do_not_drift():
+    drifting = Track(times_s=(0.0, 1.0), shifts_m=((0.0,) * 3,) * 2, drift=Drift(radius_m=0.1))
+    with pytest.raises(InputError, match="base_track is exact"):
+        a_scene(base_track=drifting)
+    apple = Fruit(name="apple", center=(1.0, 0.0, 1.0), radius=0.04, track=drifting)
+    assert a_scene(fruits=(apple,)).moves
+    with pytest.raises(InputError, match="expected none for the goal fruit"):
+        Scene(name="t", start=Start(joints_deg=(0.0,) * 4), goal=Goal(fruit="apple"), fruits=(apple,))
+
+
+@given(*(st.floats(0.0, 3.0),) * 3, st.floats(0.1, 5.0))
+def test_spread_is_never_smaller_than_its_formula(radius, speed, acceleration, span):
+    """The linear interpolation lies above the parabola, by a millimetre at most where pieces suffice."""
+    drift = Drift(radius_m=radius, speed_m_s=speed, acceleration_m_s2=acceleration)
+    path = Track(times_s=(0.5, 0.5 + span), shifts_m=((0.0,) * 3, (1.0, 0.0, 0.0)), drift=drift)
+    (movement,) = a_scene(Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1, track=path)).movements
+    after = np.linspace(0.0, span, 301)
+    exact = radius + speed * after + 0.5 * acceleration * after**2
+    excess = movement.spread_at(0.5 + after) - exact
+    assert excess.min() > -1e-12
+    assert excess.max() < 1e-3 + 1e-9
+    assert movement.known_until_s == 0.5 + span
+    # The rates bound how fast the drift grows on top of the track's own speed.
+    rates = movement.rates(np.zeros((1, 3)), 0.1)
+    grown = np.diff(movement.spread_at(movement.breaks))
+    moved = np.where(movement.breaks[:-1] >= 0.5, np.diff(movement.breaks) / span, 0.0)
+    np.testing.assert_allclose(rates * np.diff(movement.breaks), moved + grown, atol=1e-9)
+
+
 def test_digest_knows_how_things_move():
     moving = a_scene(Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1, track=CREEP))
     still = a_scene(Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1))
@@ -113,6 +152,8 @@ def test_moving_scene_is_never_taken_for_a_still_one():
             10,
             "180 degrees",
         ),
+        ("{times_s: [0, 1], shifts_m: [[0, 0, 0], [0, 0, 0]], drift: {speed_m_s: -1}}", "drift.speed_m_s", 10, "0"),
+        ("{times_s: [0, 1], shifts_m: [[0, 0, 0], [0, 0, 0]], drift: {speed: 1}}", "drift.speed", 10, "speed_m_s"),
         ("fast", "", 10, "mapping"),
     ],
 )

@@ -243,7 +243,9 @@ def show_summary(console: Console, result: PlanResult, folder: Path, files: Sequ
     if "in_time" in report:
         timing = report["in_time"]
         slows = ", slows down" if timing["slows_down"] else ""
-        add("obstacles move", f"{timing['path']}, waits {timing['waits_s']:.2f} s{slows}")
+        until_s = proof.get("clear_until_s")
+        until = "" if until_s is None else f", clear until {until_s:.4g} s"
+        add("obstacles move", f"{timing['path']}, waits {timing['waits_s']:.2f} s{slows}{until}")
     if proof["nearest"] is not None:
         nearest = proof["nearest"]
         pair = f"{escape(nearest['link'])} to {escape(nearest['obstacle'])}"

@@ -14,7 +14,7 @@ import numpy as np
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.geometry.cloud import Cloud
 from hplan.scene.limb_parts import TINY, Pushables, depth_and_extension, parts_between, smallest_eigenvalue
-from hplan.scene.limb_sweeps import carried_along
+from hplan.scene.limb_sweeps import carried_along, largest_stiffness
 from hplan.scene.limbs import Limbs
 from hplan.scene.obstacle_kind import Solid
 from hplan.scene.wood import LEAST_DEPTH_M, STATIC_SHARE, Wood, limits_by_segment
@@ -56,9 +56,11 @@ def permitted_contacts(
     per_depth = pushables.force / np.maximum(whole, 1e-12)  # of the limb alone [N/m]
     most = np.clip(whole, 0.0, pushables.depth)
     found = _neighbours(pushables, most, limbs, hanging, stiff, wood)
-    for items in (pushables, hanging) if not pushables.mass.any() else ():
-        others = _pressed_farther_out(pushables, most, items, limbs, hanging, stiff, wood)
-        found = Neighbours(*(np.concatenate(pair) for pair in zip(found, others, strict=True)))
+    if not pushables.mass.any():
+        stiffness = largest_stiffness(pushables, whole, lengths, limbs, wood)
+        for items in (pushables, hanging):
+            others = _pressed_farther_out(pushables, most, stiffness, items, limbs, hanging, stiff, wood)
+            found = Neighbours(*(np.concatenate(pair) for pair in zip(found, others, strict=True)))
     depth, limit = most.copy(), STATIC_SHARE * limits_by_segment(limbs, wood).force[pushables.segment]
     for row in np.unique(found.pushable).tolist():
         mine = found.at(found.pushable == row)
@@ -105,11 +107,11 @@ def _squeezed_depth(most: float, per_depth: float, limit: float, neighbours: Nei
 
 
 def _pressed_farther_out(
-    pushables: Pushables, depth: FloatArray, items: Pushables, limbs: Limbs, hanging: Pushables,
-    stiff: Sequence[Solid], wood: Wood,
+    pushables: Pushables, depth: FloatArray, stiffness: FloatArray, items: Pushables, limbs: Limbs,
+    hanging: Pushables, stiff: Sequence[Solid], wood: Wood,
 ) -> Neighbours:  # fmt: skip
     """Obstacles that pushed limbs press other parts of theirs against, or fruit on them, as neighbours of their own."""
-    carried = carried_along(pushables, items, limbs)
+    carried = carried_along(pushables, stiffness, items, limbs, wood)
     moved = carried.ratio * depth[carried.pushed]
     reach = np.zeros(len(items.names))
     np.maximum.at(reach, carried.item, moved)

@@ -1,13 +1,15 @@
 r"""What is carried along by a pushed limb, and pressed against something else.
 
-A contact that displaces a limb at x by :math:`\delta` along the normal n displaces a point y of it, or of a limb on the
-same clamp, by :math:`u = C_{yx} n \delta / (n^\top C_{xx} n)`. The compliance is positive semidefinite, so
-(Cauchy and Schwarz)
+A contact of the force f that displaces a limb at x by :math:`\delta` along the normal n displaces a point y of it, or
+of a limb on the same clamp, by :math:`u = C_{yx} n f`, with :math:`\delta = f\, n^\top C_{xx} n`. The compliance is
+positive semidefinite, so (Cauchy and Schwarz) :math:`|u|^2 \le \lambda_{max}(C_{yy}) f \delta`. A part of the depth d
+that is extended by :math:`l d` in the direction s is deflected by :math:`\delta \le d (1 - l |n \cdot s|)`
+(`hplan.scene.limb_parts`), so that for :math:`l \le 1`, whatever the normal,
 
-.. math:: |u| \le r \delta, \qquad r = \sqrt{\lambda_{max}(C_{yy}) / (n^\top C_{xx} n)}.
+.. math:: |u| \le r d, \qquad r = \sqrt{\lambda_{max}(C_{yy}) k}, \qquad k C_{xx} + (2 l - l^2) s s^\top \succeq I.
 
-Beyond x a limb moves as a rigid body: with the deflection per rotation :math:`\rho` of `hplan.scene.limb_parts`,
-:math:`|u|` is also at most :math:`\delta (r_x + |y - x| / \rho)`.
+Beyond x a limb moves as a rigid body: with the rotation per deflection :math:`\theta`, bounded likewise,
+:math:`|u|` is also at most :math:`d (r_x + |y - x| \theta)`.
 
 An obstacle with the stiffness k behind a gap g at y acts at x as one with the stiffness :math:`r^2 k` behind
 :math:`g / r`: the limb gives way in between, which only lessens the force.
@@ -15,14 +17,20 @@ An obstacle with the stiffness k behind a gap g at y acts at x as one with the s
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.scene.limb_parts import TINY, Pushables
+from hplan.scene.limb_parts import TINY, Pushables, lateral_depth, smallest_eigenvalue
 from hplan.scene.limbs import Limbs
-from hplan.scene.wood import MOST_ROTATION
+from hplan.scene.wood import MOST_ROTATION, Wood, limits_by_segment
+
+#: Allowed for rounding in eigenvalues.
+_ROUNDING: Final = 1e-9
+
+#: Number of halvings in the search for the stiffness.
+_HALVINGS: Final = 30
 
 
 class Carried(NamedTuple):
@@ -39,18 +47,49 @@ class Carried(NamedTuple):
     ratio: FloatArray
 
 
-def carried_along(pushables: Pushables, items: Pushables, limbs: Limbs) -> Carried:
+def largest_stiffness(
+    parts: Pushables, depth: FloatArray, extension: FloatArray, limbs: Limbs, wood: Wood
+) -> FloatArray:
+    """(k,) upper bound of force times deflection per squared depth, whatever the normal [N/m].
+
+    Args:
+        parts: Parts of limbs.
+        depth: (k,) their depths by the maximum force [m].
+        extension: (k,) the extensions that these take [m].
+        limbs: All limbs.
+        wood: Young's modulus.
+    """
+    first, last = (limbs.compliance_along(parts.segment, parts.along[:, end])[:2] for end in (0, 1))
+    half = 0.5 * np.ptp(parts.along, axis=1)[:, None, None]
+    # Up to the middle the tangent at the nearer end is a lower bound, and the smallest eigenvalue is concave along it.
+    bounds = np.stack([first[0], first[0] + half * first[1], last[0] - half * last[1], last[0]])
+    bounds /= limits_by_segment(limbs, wood).stiffest[parts.segment, None, None]
+    share = np.minimum(extension / np.maximum(depth, TINY), 1.0)
+    low, high = np.zeros(len(depth)), parts.force / np.maximum(depth, TINY)
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        scaled = middle[:, None, None] * bounds
+        enough = smallest_eigenvalue(scaled, parts.stiff_axis, share * (2.0 - share)) >= 1.0 - _ROUNDING
+        low, high = np.where(enough, low, middle), np.where(enough, middle, high)
+    return high
+
+
+def carried_along(pushables: Pushables, stiffness: FloatArray, items: Pushables, limbs: Limbs, wood: Wood) -> Carried:
     """Items on the same limbs as pushed parts, with the ratio of their displacements.
 
     Args:
         pushables: Parts of limbs that are pushed.
+        stiffness: (k,) what `largest_stiffness` finds for them [N/m].
         items: Parts of limbs, or fruit on them.
         limbs: All limbs.
+        wood: Young's modulus.
     """
     roots, found = limbs.roots(), list[Carried]()
-    stiffness = 1.0 / np.maximum(_smallest_across(pushables, limbs), TINY)
+    of_one = stiffness / limits_by_segment(limbs, wood).stiffest[pushables.segment]  # for 1 Pa
     own, moved = _largest(pushables, limbs), _largest(items, limbs)
-    per_rotation = np.maximum(pushables.depth / MOST_ROTATION, TINY)
+    # Its square is the compliance across the part times that of rotation: `parts_between`.
+    across = lateral_depth(pushables) / np.maximum(pushables.force, TINY)
+    rotation = np.sqrt(across * stiffness) * MOST_ROTATION / np.maximum(pushables.depth, TINY)
     for segment in np.unique(pushables.segment).tolist():
         rows, others = (
             np.flatnonzero(pushables.segment == segment),
@@ -59,7 +98,7 @@ def carried_along(pushables: Pushables, items: Pushables, limbs: Limbs) -> Carri
         if roots[segment] < 0:
             continue
         pushed, item = np.repeat(rows, len(others)), np.tile(others, len(rows))
-        ratio = np.sqrt(moved[item] * stiffness[pushed])
+        ratio = np.sqrt(moved[item] * of_one[pushed])
         on, x = items.segment[item], pushables.along[pushed]
         lever = np.maximum(
             *(np.linalg.norm(end[item] - pushables.start[pushed], axis=1) for end in (items.start, items.end))
@@ -71,7 +110,7 @@ def carried_along(pushables: Pushables, items: Pushables, limbs: Limbs) -> Carri
                 child = path[path.index(segment) - 1]
                 grows_at = float((limbs.joint[child] - limbs.start[segment]) @ limbs.axis[segment])
                 beyond |= (on == other) & (grows_at >= x[:, 1])
-        turned = np.sqrt(own[pushed] * stiffness[pushed]) + lever / per_rotation[pushed]
+        turned = np.sqrt(own[pushed] * of_one[pushed]) + lever * rotation[pushed]
         ratio = np.where(beyond, np.minimum(ratio, turned), ratio)
         is_other = (on != segment) | (np.abs(items.along[item] - x).max(axis=1) > 0.0)
         found.append(Carried(pushed[is_other], item[is_other], ratio[is_other]))
@@ -86,18 +125,4 @@ def _largest(items: Pushables, limbs: Limbs) -> FloatArray:
         return np.zeros(0)
     ends = np.stack([limbs.compliance_along(items.segment, items.along[:, end])[0] for end in (0, 1)])
     found: FloatArray = np.linalg.eigvalsh(ends)[..., -1].max(axis=0)
-    return found
-
-
-def _smallest_across(parts: Pushables, limbs: Limbs) -> FloatArray:
-    """(k,) lower bound of the compliance of parts for all directions across them, for 1 Pa [m/N]."""
-    if not len(parts.names):
-        return np.zeros(0)
-    axis = parts.stiff_axis
-    low, high = (limbs.compliance_along(parts.segment, parts.along[:, end])[:2] for end in (0, 1))
-    half = 0.5 * np.ptp(parts.along, axis=1)[:, None, None]
-    flat = np.eye(3) - axis[:, :, None] * axis[:, None]
-    # Up to the middle the tangent at the nearer end is a lower bound, whose smallest eigenvalue is concave.
-    bounds = flat @ np.stack([low[0], low[0] + half * low[1], high[0] - half * high[1], high[0]]) @ flat
-    found: FloatArray = np.linalg.eigvalsh(bounds)[..., 1].min(axis=0)  # the first one is that of the axis, 0
     return found

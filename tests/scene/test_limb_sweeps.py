@@ -8,8 +8,8 @@ from scene.test_wood import TRUNK, TWIG, limit_of, random_tree
 
 from hplan.scene import Box, Fruit, Wood
 from hplan.scene.limb_contacts import contact_solids, limbs_of
-from hplan.scene.limb_parts import divide_limbs
-from hplan.scene.limb_sweeps import carried_along
+from hplan.scene.limb_parts import depth_and_extension, divide_limbs
+from hplan.scene.limb_sweeps import carried_along, largest_stiffness
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -17,22 +17,26 @@ def test_nothing_moves_farther_than_its_bound(seed: int) -> None:
     tree, wood, random = random_tree(seed), Wood(), np.random.default_rng(seed)
     limbs = limbs_of(tree, wood)
     parts = divide_limbs(limbs, wood)
-    carried, nearest = carried_along(parts, parts, limbs), 0.0
+    depth, extension = depth_and_extension(parts)
+    stiffness = largest_stiffness(parts, depth, extension, limbs, wood)
+    carried, nearest = carried_along(parts, stiffness, parts, limbs, wood), 0.0
     chosen = random.permutation(len(carried.pushed))[:400]
     for pushed, item, ratio in zip(*(column[chosen].tolist() for column in carried), strict=True):
-        if parts.depth[pushed] <= 0.0:
+        if depth[pushed] <= 0.0:
             continue
         segments = int(parts.segment[item]), int(parts.segment[pushed])
         along = [float(random.uniform(*parts.along[row])) for row in (item, pushed)]
         points = np.stack([limbs.start[s] + at * limbs.axis[s] for s, at in zip(segments, along, strict=True)])
         moved = limbs.mutual_compliance(segments, points, wood.stiffest)
         own = limbs.compliance(segments[1], along[1] / float(limbs.length[segments[1]]), wood.stiffest)[:3, :3]
-        for _ in range(5):
-            normal = np.cross(limbs.axis[segments[1]], random.normal(size=3))
-            normal /= np.linalg.norm(normal)
-            found = float(np.linalg.norm(moved @ normal) / (normal @ own @ normal))
-            assert found <= ratio * (1.0 + 1e-6)
-            nearest = max(nearest, found / ratio)
+        normals = np.concatenate([random.normal(size=(200, 3)), np.linalg.eigh(own)[1].T])
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        # A body at the whole depth in the extended part is less deep in the limb itself.
+        left = 1.0 - extension[pushed] / depth[pushed] * np.abs(normals @ parts.stiff_axis[pushed])
+        force = np.maximum(left, 0.0) / np.maximum(np.einsum("ki,ij,kj->k", normals, own, normals), 1e-12)
+        found = float((force * np.linalg.norm(normals @ moved.T, axis=1)).max())
+        assert found <= ratio * (1.0 + 1e-6)
+        nearest = max(nearest, found / ratio)
     assert nearest > 0.5
 
 

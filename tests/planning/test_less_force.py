@@ -69,7 +69,7 @@ def test_gentle_motions_take_little_longer_and_push_less() -> None:
     """Where limits are high, quick motions push with much force."""
     strong = with_limbs(load_scene("dense-canopy"), Wood(contact_force=60.0, wood_stress_mpa=100.0, fruit_force=40.0))
     scene = strong.with_values(goal=Goal(fruit="fruit 36"))
-    quick, gentle = (hplan.plan(robot(), scene, PlanOptions(gentle=choice)) for choice in (False, True))
+    quick, gentle = (hplan.plan(robot(), scene, PlanOptions(effort="quick", gentle=choice)) for choice in (False, True))
     assert gentle.certificate.verified
     assert gentle.trajectory.duration <= LONGER * quick.trajectory.duration
     assert 0.0 < largest_force(gentle) < largest_force(quick)

@@ -181,6 +181,9 @@ class _TimedSearch:
         report = {"path": path, "waits_s": 0.0, "slows_down": False, "at_full_speed_s": motion.duration}
         if certificate.verified:
             return _run(still, self._scene, (phases, motion, certificate), report)
+        if motion.duration == 0.0:  # The goal is the start: there is nothing to time.
+            self.tried.append(f"{path}: {certificate.violations[0]}")
+            return None
         grasp_s = [phase.end_s for phase in phases if phase.name != "retreat"][-1]
         # Allowed deviation from the schedule, earlier or later, tried in turn [s].
         for spare_s in (0.02, 0.06, 0.15):

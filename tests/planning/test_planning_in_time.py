@@ -36,7 +36,7 @@ from hplan.scene.attached import Attached
 from hplan.scene.fruit import Fruit
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Sphere
-from hplan.scene.tracks import Track
+from hplan.scene.tracks import Drift, Track
 from hplan.trajectory.trajectory import Phase, scale_motion
 
 START, GOAL = (0.0, 0.0, 0.0, 0.0), (0.0, 45.0, 60.0, 70.0)
@@ -394,3 +394,13 @@ def test_phases_by_another_clock_hold_all_that_they_held(robot):
         last = min(row for row, when in enumerate(clock) if when >= ends[1] - 1e-9)
         assert phase.start_s == (time[first] if ends[0] > 0.0 else 0.0)
         assert phase.end_s == (time[last] if ends[1] < motion.duration else time[-1])
+
+
+def test_arm_at_its_goal_is_told_what_comes(robot: Robot) -> None:
+    """A motion of no duration has no timing: the error names what the arm touches at once."""
+    place = tuple(robot.tool_positions(np.radians(GOAL)).tolist())
+    track = Track(times_s=(0.0, 1.0), shifts_m=((0.0,) * 3, (0.0, 0.0, 1.0)), drift=Drift(radius_m=0.2))
+    near = Sphere(name="near", center=(place[0], place[1], place[2] + 0.3), radius=0.1, track=track)
+    with pytest.raises(ObstacleInTimeError) as caught:
+        plan(robot, task(GOAL, GOAL, [near]))
+    assert caught.value.obstacle == "near"

@@ -52,7 +52,7 @@ def rows_of(study: str, out: Path, *options: str) -> list[dict]:
     return read_rows(out / f"{study}.jsonl")
 
 
-@pytest.mark.parametrize("study", ["fastest", "deadlines", "camera", "upright", "retargets"])
+@pytest.mark.parametrize("study", ["fastest", "deadlines", "camera", "upright", "retargets", "drifting"])
 def test_study_runs(study: str, tmp_path: Path) -> None:
     rows = rows_of(study, tmp_path, "--effort", "quick")
     assert rows

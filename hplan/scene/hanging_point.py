@@ -51,26 +51,25 @@ class HangingPoint(Record):
     def _largest(self, limit: ContactLimit) -> tuple[float, bool]:
         r"""Bound of the displacement over all normals of the contact.
 
-        A contact with the normal n deflects the part by its depth along n, and displaces this point by the depth times
-        :math:`|C_{fx} n| / (n^\top C_{xx} n)`. The maximum over all n across the part is bounded between samples by
-        the derivatives of both quadratic forms.
+        A contact of the force f that deflects the part by :math:`\delta = f\, n^\top C_{xx} n` displaces this point by
+        :math:`u = f C_{fx} n`. With the smallest m for which :math:`m C_{xx} \succeq C_{fx}^\top C_{fx}`, it is
+        :math:`|u|^2 \le m f \delta`, and :math:`f \delta` is at most `ContactLimit.stiffness_per_pa` times the squared
+        depth. Ends and middle of the part are examined.
         """
         if isinstance(limit.displacement, HangingPoint):
             return self._ratio_by_fruit(limit, limit.displacement), False
-        modulus = self.youngs_modulus[1]
         limbs, numbers = self.limbs, (self.segment, limit.segment)
         path, other = limbs.path(self.segment), limbs.path(limit.segment)
         if not path or not other or path[-1] != other[-1]:
             return 0.0, False
         here, axis = limbs.start[self.segment] + self.along * limbs.axis[self.segment], limbs.axis[limit.segment]
-        across = _across(axis)
         largest = 0.0
-        for along in limit.along:
+        for along in (limit.along[0], 0.5 * sum(limit.along), limit.along[1]):
             at = limbs.start[limit.segment] + along * axis
-            moved = limbs.mutual_compliance(numbers, np.stack([here, at]), modulus) @ across.T
-            own = limbs.compliance(limit.segment, along / float(limbs.length[limit.segment]), modulus)
-            largest = max(largest, _largest_ratio(moved.T @ moved, across @ own[:3, :3] @ across.T))
-        return largest, limit.segment in path or self.segment in other
+            moved = limbs.mutual_compliance(numbers, np.stack([here, at]), 1.0)
+            own = limbs.compliance(limit.segment, along / float(limbs.length[limit.segment]), 1.0)[:3, :3]
+            largest = max(largest, _largest_share(moved.T @ moved, own))
+        return math.sqrt(largest * limit.stiffness_per_pa), limit.segment in path or self.segment in other
 
     def displacement_by_push(self, force: float, depth: float) -> float:
         r"""Upper bound of the displacement of the fruit itself by a push with any normal [m].
@@ -114,28 +113,15 @@ class HangingPoint(Record):
         return float((moved * np.minimum(per_depth, limit.force / max(limit.depth, TINY))).max())
 
 
-#: Number of normals across a limb between which the displacement is bounded.
-_NORMALS: Final = 256
-
-
-def _across(axis: FloatArray) -> FloatArray:
-    """(2, 3) unit vectors across an axis."""
-    first = np.cross(axis, np.eye(3)[int(np.abs(axis).argmin())])
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(axis, first)])
-
-
-def _largest_ratio(above: FloatArray, below: FloatArray) -> float:
-    """Upper bound of sqrt(n^T above n) / (n^T below n) for unit vectors n of the plane, for (2, 2) matrices."""
-    angle = np.arange(_NORMALS) * math.pi / _NORMALS
-    normals = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    step = 0.5 * math.pi / _NORMALS  # from the nearest sample; a quadratic form changes by its spread per radian
-    tops, bottoms = (np.einsum("ki,ij,kj->k", normals, matrix, normals) for matrix in (above, below))
-    spreads = [float(np.ptp(np.linalg.eigvalsh(matrix))) for matrix in (above, below)]
-    lowest = np.maximum(bottoms - step * spreads[1], float(np.linalg.eigvalsh(below)[0]))
-    if float(lowest.min()) <= 0.0:
-        return math.inf
-    return float((np.sqrt(tops + step * spreads[0]) / lowest).max())
+def _largest_share(above: FloatArray, below: FloatArray) -> float:
+    """The smallest m for which m `below` exceeds `above` in all directions, for positive semidefinite matrices."""
+    # Along a limb both vanish; the rest keeps `below` invertible, and never exceeds the compliance by more than this.
+    scale, rest = float(np.trace(below)), 1e-9
+    if scale <= 0.0:
+        return 0.0
+    root = np.linalg.cholesky(below + rest * scale * np.eye(3))
+    half = np.linalg.solve(root, above)
+    return float(np.linalg.eigvalsh(np.linalg.solve(root, half.T))[-1]) * (1.0 + 1e-6)
 
 
 @cache

@@ -112,6 +112,7 @@ def _contact_solids(obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood
                 depth, float(table.force[row]), float(table.stress[row]), segment, roots[segment], (low, high),
                 *_impact(limbs, segment, swing, float(pushables.mass[row]), carried.get(roots[segment], 0.0), wood),
                 most_force, float(limits.stress[segment]), point, decay, wood.capture_range,
+                float(table.stiffness[row] / limits.stiffest[segment]),
             )  # fmt: skip
             solid = _TEMPLATE.copy_unchecked({
                 "name": name, "start": tuple(starts[row]), "end": tuple(ends[row]),

@@ -31,12 +31,14 @@ class PermittedContacts(NamedTuple):
         extension: (k,) extension of both ends along the stiff axis [m].
         force: (k,) static force at that depth [N].
         stress: (k,) static stress of the limb at that depth [Pa].
+        stiffness: (k,) upper bound of force times deflection per squared depth of parts of limbs [N/m]; 0 for fruit.
     """
 
     depth: FloatArray
     extension: FloatArray
     force: FloatArray
     stress: FloatArray
+    stiffness: FloatArray
 
 
 def permitted_contacts(
@@ -55,7 +57,7 @@ def permitted_contacts(
     whole, lengths = depth_and_extension(pushables)
     per_depth = pushables.force / np.maximum(whole, 1e-12)  # of the limb alone [N/m]
     most = np.clip(whole, 0.0, pushables.depth)
-    found = _neighbours(pushables, most, limbs, hanging, stiff, wood)
+    found, stiffness = _neighbours(pushables, most, limbs, hanging, stiff, wood), np.zeros(count)
     if not pushables.mass.any():
         stiffness = largest_stiffness(pushables, whole, lengths, limbs, wood)
         for items in (pushables, hanging):
@@ -71,7 +73,7 @@ def permitted_contacts(
     squeezed = np.bincount(found.pushable, np.multiply(found.stiffness, pushed_on, where=pushed_on > 0.0,
                                                        out=np.zeros(len(pushed_on))), count)  # fmt: skip
     extension = np.divide(lengths * depth, whole, out=np.zeros(count), where=whole > 0.0)
-    return PermittedContacts(depth, extension, force + squeezed, force * pushables.stress)
+    return PermittedContacts(depth, extension, force + squeezed, force * pushables.stress, stiffness)
 
 
 class Neighbours(NamedTuple):

@@ -175,6 +175,8 @@ class ContactLimit(NamedTuple):
         displacement: For a fruit the point that it hangs from, which is displaced by other contacts; None for limbs.
         decay_rate: For a fruit the minimum rate at which it comes to rest after its limb was displaced [1/s].
         capture_range: Allowed displacement of a fruit that is grasped [m].
+        stiffness_per_pa: For a part of a limb the upper bound of force times deflection per squared depth, whatever the
+            normal of the contact, per pascal of Young's modulus [m] (`hplan.scene.limb_sweeps`).
     """
 
     depth: float
@@ -192,6 +194,7 @@ class ContactLimit(NamedTuple):
     displacement: Hanging | None
     decay_rate: float
     capture_range: float
+    stiffness_per_pa: float
 
 
 #: Links that a solid counts for: all, those that may push compliant obstacles, or the others.

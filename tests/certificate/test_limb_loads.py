@@ -38,7 +38,7 @@ from hplan.scene.obstacle_kind import ContactLimit
 #: Fruits that no quick search finds a motion to without pushing limbs.
 PUSHING = ("fruit 16", "fruit 36")
 
-LIMIT = ContactLimit(0.02, 6.0, 1e7, 3, 2, (0.1, 0.2), 4.0, 6e6, 0.0, 500.0, 10.0, 3e7, None, 0.0, 0.02)
+LIMIT = ContactLimit(0.02, 6.0, 1e7, 3, 2, (0.1, 0.2), 4.0, 6e6, 0.0, 500.0, 10.0, 3e7, None, 0.0, 0.02, 1e-6)
 
 
 @pytest.fixture(scope="module")

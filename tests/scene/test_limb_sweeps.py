@@ -2,14 +2,39 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scene.test_wood import TRUNK, TWIG, limit_of, random_tree
 
-from hplan.scene import Box, Fruit, Wood
+from hplan.scene import Box, Capsule, Fruit, Wood
+from hplan.scene.hanging_point import HangingPoint
 from hplan.scene.limb_contacts import contact_solids, limbs_of
-from hplan.scene.limb_parts import depth_and_extension, divide_limbs
+from hplan.scene.limb_parts import Pushables, depth_and_extension, divide_limbs
 from hplan.scene.limb_sweeps import carried_along, largest_stiffness
+from hplan.scene.limbs import Limbs
+
+
+def farthest_move(pushed: int, point: tuple[int, float], parts: Pushables, limbs: Limbs, random: Any) -> float:
+    """Largest displacement of a point on a limb per depth of a part, over many normals and a random place of the part.
+
+    Args:
+        pushed: The part, pushed to its whole depth.
+        point: Segment of the point, and distance from its start [m].
+    """
+    depth, extension = depth_and_extension(parts)
+    segment, along = int(parts.segment[pushed]), float(random.uniform(*parts.along[pushed]))
+    pair = (point[0], segment), (point[1], along)
+    places = np.stack([limbs.start[s] + at * limbs.axis[s] for s, at in zip(*pair, strict=True)])
+    moved = limbs.mutual_compliance(pair[0], places, Wood().stiffest)
+    own = limbs.compliance(segment, along / float(limbs.length[segment]), Wood().stiffest)[:3, :3]
+    normals = np.concatenate([random.normal(size=(200, 3)), np.linalg.eigh(own)[1].T])
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    # A body at the whole depth in the extended part is less deep in the limb itself.
+    left = 1.0 - extension[pushed] / depth[pushed] * np.abs(normals @ parts.stiff_axis[pushed])
+    force = np.maximum(left, 0.0) / np.maximum(np.einsum("ki,ij,kj->k", normals, own, normals), 1e-12)
+    return float((force * np.linalg.norm(normals @ moved.T, axis=1)).max())
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -24,20 +49,35 @@ def test_nothing_moves_farther_than_its_bound(seed: int) -> None:
     for pushed, item, ratio in zip(*(column[chosen].tolist() for column in carried), strict=True):
         if depth[pushed] <= 0.0:
             continue
-        segments = int(parts.segment[item]), int(parts.segment[pushed])
-        along = [float(random.uniform(*parts.along[row])) for row in (item, pushed)]
-        points = np.stack([limbs.start[s] + at * limbs.axis[s] for s, at in zip(segments, along, strict=True)])
-        moved = limbs.mutual_compliance(segments, points, wood.stiffest)
-        own = limbs.compliance(segments[1], along[1] / float(limbs.length[segments[1]]), wood.stiffest)[:3, :3]
-        normals = np.concatenate([random.normal(size=(200, 3)), np.linalg.eigh(own)[1].T])
-        normals /= np.linalg.norm(normals, axis=1)[:, None]
-        # A body at the whole depth in the extended part is less deep in the limb itself.
-        left = 1.0 - extension[pushed] / depth[pushed] * np.abs(normals @ parts.stiff_axis[pushed])
-        force = np.maximum(left, 0.0) / np.maximum(np.einsum("ki,ij,kj->k", normals, own, normals), 1e-12)
-        found = float((force * np.linalg.norm(normals @ moved.T, axis=1)).max())
+        point = int(parts.segment[item]), float(random.uniform(*parts.along[item]))
+        found = farthest_move(pushed, point, parts, limbs, random)
         assert found <= ratio * (1.0 + 1e-6)
         nearest = max(nearest, found / ratio)
     assert nearest > 0.5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_fruit_hangs_from_a_point_that_moves_farther_than_its_bound(seed: int) -> None:
+    tree, wood, random = random_tree(seed), Wood(), np.random.default_rng(seed)
+    limbs = limbs_of(tree, wood)
+    parts, roots, nearest = divide_limbs(limbs, wood), limbs.roots(), 0.0
+    limits = {
+        (limit.segment, limit.along): limit
+        for solids in contact_solids(tree, (), wood).values()
+        for solid in solids
+        if isinstance(solid, Capsule) and (limit := solid.contact_limit) is not None and limit.depth > 0.0
+    }
+    for row, (pushed, span) in enumerate(zip(parts.segment.tolist(), parts.along.tolist(), strict=True)):
+        limit, same = limits.get((pushed, tuple(span))), np.flatnonzero(roots == roots[pushed])
+        if limit is None or roots[pushed] < 0:
+            continue
+        for segment in random.choice(same, min(len(same), 8), replace=False).tolist():
+            along = float(random.uniform(0.0, limbs.length[segment]))
+            point = HangingPoint(limbs, segment, along, np.zeros((3, 3)), (wood.stiffest, wood.stiffest))
+            found, (ratio, _) = farthest_move(row, (segment, along), parts, limbs, random), point(limit)
+            assert found <= ratio * (1.0 + 1e-6)
+            nearest = max(nearest, found / ratio)
+    assert nearest > 0.8
 
 
 def test_a_limb_does_not_press_its_tip_onto_a_rigid_obstacle() -> None:

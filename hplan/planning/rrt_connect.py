@@ -131,6 +131,7 @@ class Surroundings(NamedTuple):
         margin: Clearance required beyond the scene's own during motions [m].
         lower: (dof,) lower ends of the samples' box.
         upper: (dof,) upper ends of the samples' box.
+        joints: (dof,) numbers of the joints.
     """
 
     metric: Metric
@@ -138,6 +139,7 @@ class Surroundings(NamedTuple):
     margin: float
     lower: FloatArray
     upper: FloatArray
+    joints: IntArray
 
 
 def tree_path(
@@ -166,7 +168,8 @@ def tree_path(
     known = None if pairs is None else pairs.pop(key, None)
     chain = upright_chain(problem)
     metric = displacement_metric(problem) if len(chain) == 0 else upright_metric(problem)
-    arm = Surroundings(metric, problem.field.arrays, margin, *_sample_box(problem, ends))
+    joints = frozen(np.arange(len(problem.start)))
+    arm = Surroundings(metric, problem.field.arrays, margin, *_sample_box(problem, ends), joints)
     if known is None:
         generator, nothing = np.random.Generator(np.random.PCG64(seed)), np.zeros((0, len(problem.start)))
         looks = np.zeros(2, dtype=np.int64)
@@ -306,7 +309,7 @@ def _slide(
     q, field, weight = tree.points[node], arm.field, arm.metric.weight
     count, dof = len(field.bodies) + len(field.pairs), len(q)
     clear, slopes, along = np.empty(count), np.empty((count, dof)), np.empty(dof)
-    body_slopes(q, field, np.arange(dof), _SLIDE_NEAR, clear, slopes)
+    body_slopes(q, field, arm.joints, _SLIDE_NEAR, clear, slopes)
     looks[0] -= _SLIDE_LOOKS
     for i in range(dof):
         along[i] = target[i]

@@ -52,9 +52,9 @@ class HangingPoint(Record):
         r"""Bound of the displacement over all normals of the contact.
 
         A contact of the force f that deflects the part by :math:`\delta = f\, n^\top C_{xx} n` displaces this point by
-        :math:`u = f C_{fx} n`. With the smallest m for which :math:`m C_{xx} \succeq C_{fx}^\top C_{fx}`, it is
-        :math:`|u|^2 \le m f \delta`, and :math:`f \delta` is at most `ContactLimit.stiffness_per_pa` times the squared
-        depth. Ends and middle of the part are examined.
+        :math:`u = f C_{fx} n`. Let m be the largest generalized eigenvalue of :math:`C_{fx}^\top C_{fx}` and
+        :math:`C_{xx}`. Then :math:`|u|^2 \le m f \delta`, and :math:`f \delta` is at most
+        `ContactLimit.stiffness_per_pa` times the squared depth. Ends and middle of the part are examined.
         """
         if isinstance(limit.displacement, HangingPoint):
             return self._ratio_by_fruit(limit, limit.displacement), False
@@ -68,7 +68,7 @@ class HangingPoint(Record):
             at = limbs.start[limit.segment] + along * axis
             moved = limbs.mutual_compliance(numbers, np.stack([here, at]), 1.0)
             own = limbs.compliance(limit.segment, along / float(limbs.length[limit.segment]), 1.0)[:3, :3]
-            largest = max(largest, _largest_share(moved.T @ moved, own))
+            largest = max(largest, _generalized_eigenvalue(moved.T @ moved, own))
         return math.sqrt(largest * limit.stiffness_per_pa), limit.segment in path or self.segment in other
 
     def displacement_by_push(self, force: float, depth: float) -> float:
@@ -113,9 +113,9 @@ class HangingPoint(Record):
         return float((moved * np.minimum(per_depth, limit.force / max(limit.depth, TINY))).max())
 
 
-def _largest_share(above: FloatArray, below: FloatArray) -> float:
-    """The smallest m for which m `below` exceeds `above` in all directions, for positive semidefinite matrices."""
-    # Along a limb both vanish; the rest keeps `below` invertible, and never exceeds the compliance by more than this.
+def _generalized_eigenvalue(above: FloatArray, below: FloatArray) -> float:
+    """Upper bound of the largest generalized eigenvalue of two positive semidefinite matrices."""
+    # Along a limb both vanish. A small fraction of the trace makes `below` invertible.
     scale, rest = float(np.trace(below)), 1e-9
     if scale <= 0.0:
         return 0.0

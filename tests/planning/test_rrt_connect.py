@@ -127,7 +127,7 @@ def test_sliding_keeps_off_the_nearest_bodies(robot: Robot) -> None:
     """Compared with NumPy at random configurations: the new node is on the way to the moved target."""
     problem, rng, slid = slot(robot), np.random.default_rng(3), 0
     metric = displacement_metric(problem)
-    arm = Surroundings(metric, problem.field.arrays, MARGIN, problem.lower[0], problem.upper[0])
+    arm = Surroundings(metric, problem.field.arrays, MARGIN, problem.lower[0], problem.upper[0], problem.movable)
     joints = np.arange(robot.dof)
     while slid < 20:
         q = np.clip(problem.goal + rng.normal(0.0, 0.02, robot.dof), robot.lower, robot.upper)
@@ -153,7 +153,9 @@ def test_sliding_keeps_off_the_nearest_bodies(robot: Robot) -> None:
 
 def test_samples_near_nodes_are_within_their_boxes(robot: Robot) -> None:
     problem, rng = slot(robot), np.random.default_rng(4)
-    arm = Surroundings(displacement_metric(problem), problem.field.arrays, MARGIN, problem.lower[0], problem.upper[0])
+    arm = Surroundings(
+        displacement_metric(problem), problem.field.arrays, MARGIN, problem.lower[0], problem.upper[0], problem.movable
+    )
     nodes = rng.uniform(robot.lower, robot.upper, (50, robot.dof))
     tree, chosen = _tree(nodes), set[int]()
     for number in range(300):

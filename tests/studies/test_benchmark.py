@@ -211,9 +211,9 @@ def test_both_judges_see_the_contacts_of_straight_motions(monkeypatch: pytest.Mo
     from studies import others
 
     monkeypatch.setattr(others, "_motion", lambda robot, scene, *_: straight_motion(scene))
-    straight = [others._row(harness.StudyConfig(), ("ur5", number, "straight")) for number in range(3)]
-    assert any(row["collides"] for row in straight)
-    assert not any(row["collides"] and row["verified"] for row in straight)
+    straight = [others._row(harness.StudyConfig(), ("ur5", number, "straight", 0)) for number in range(3)]
+    assert any(row is not None and row["collides"] for row in straight)
+    assert not any(row is None or (row["collides"] and row["verified"]) for row in straight)
 
 
 def straight_motion(scene: Scene) -> TimedMotion:

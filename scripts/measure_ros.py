@@ -293,6 +293,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--folder", type=Path, default=Path("/tmp"), help="for the scene files")
     given = parser.parse_args(argv)
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    given.folder.mkdir(parents=True, exist_ok=True)
     if given.what == "soak":
         soak(given.folder, given.seconds)
     else:

@@ -17,7 +17,7 @@ from hplan.certificate.moving_obstacles import checker_in_time
 from hplan.collision.coal_scene import CoalScene, Contact
 from hplan.collision.compliant_solids import check_yield_links
 from hplan.collision.held_objects import holding
-from hplan.errors import InputError, TiltedError
+from hplan.errors import InputError, OptionError, TiltedError
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene, checked_scene
 
@@ -73,8 +73,8 @@ def check(
     Raises:
         InputError: `q` is not an array of finite numbers with the robot's number of joints.
         MovingObstacleError: The scene has moving obstacles, but no time is given.
-        OptionError: The robot or the scene is of the wrong type, the time is not finite, `sigmas` is negative, or
-            `yield_links` names an unknown link.
+        OptionError: The robot or the scene is of the wrong type, the time is not finite or an obstacle is not predicted
+            up to then, `sigmas` is negative, or `yield_links` names an unknown link.
         SceneError: A value of the scene was changed without validation.
     """
     instance("robot", robot, Robot, "load_robot")
@@ -86,6 +86,9 @@ def check(
     values = numbers("q", q, (..., robot.dof), most=FARTHEST_JOINT)
     rows, shape = values.reshape(-1, robot.dof), values.shape[:-1]
     checker = _checker(robot, scene, sigmas)
+    known_until_s, name = (math.inf, "") if checker.moving is None else checker.moving.known_until
+    if time_s is not None and time_s > known_until_s:
+        raise OptionError("time_s", time_s, f"at most {known_until_s:g} s: {name!r} is predicted until then")
     found = [_looked_at(checker, row, scene.clearance, time_s) for row in rows]
     names = ["q" if not shape else f"q[{', '.join(map(str, index))}]" for index in np.ndindex(shape)]
     faults = [

@@ -13,8 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hplan.certificate.certificate import certify
+from hplan.certificate.configuration_check import check
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import MovingObstacleError
+from hplan.errors import MovingObstacleError, OptionError
 from hplan.planar.family_reader import family_of
 from hplan.robot.model import Robot
 from hplan.scene.fruit import Fruit
@@ -137,6 +138,10 @@ def test_motion_is_not_certified_beyond_a_prediction(robot):
         "obstacle 'ball' is predicted until 5 s, the end of its track; the motion ends at 5.5 s",
     )
     assert late.clear_until_s is None
+    q = np.radians(REST)
+    assert check(robot, scene, q, time_s=5.0).valid
+    with pytest.raises(OptionError, match=r"at most 5 s: 'ball' is predicted until then"):
+        check(robot, scene, q, time_s=5.1)
 
 
 def test_drift_may_not_lead_into_the_base(robot):

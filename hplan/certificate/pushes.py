@@ -133,7 +133,8 @@ def pushes_along(
         search.place(point_at(bezier, float(row)), float(row))
         distances[row, near] = checker.distances_of(pairs[near]) - checker.distance_errors[pairs[near]]
         fruit = near[whole[near] >= 0]
-        from_whole[row, fruit] = checker.whole_fruit_distances(pairs[fruit], whole[fruit])
+        if len(fruit):
+            from_whole[row, fruit] = checker.whole_fruit_distances(pairs[fruit], whole[fruit])
         movers = mover_of[near]
         spare = np.maximum(distances[row, near] - nearer[movers, row], 0.0)
         far = spare > travel[movers, min(row + 1, rows)] - travel[movers, row]

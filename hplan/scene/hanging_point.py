@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray, Record, readonly
+from hplan.base.arrays import FloatArray, Record
 from hplan.scene.limb_parts import TINY
 from hplan.scene.limbs import Limbs
 from hplan.scene.obstacle_kind import ContactLimit
 from hplan.scene.wood import MOST_SWING
 
-#: Number of normals for which the displacement of a limb by a pushed fruit is examined.
-_SPHERE: Final = 400
+#: Steps of the deflection per force, and slopes per ratio of the largest values, in `largest_ratio`.
+_STEP: Final = 1.02
+_SLOPES: Final = np.concatenate([[0.0], np.geomspace(1e-4, 1e4, 193), -np.geomspace(1e-4, 1e4, 193)])
+
+#: Bound of relative rounding errors there.
+_ROUNDING: Final = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,27 +53,30 @@ class HangingPoint(Record):
         return {}
 
     def _largest(self, limit: ContactLimit) -> tuple[float, bool]:
-        r"""Bound of the displacement over all normals of the contact.
+        r"""Bound of the displacement over all normals of the contact, and all its places on the part.
 
-        A contact of the force f that deflects the part by :math:`\delta = f\, n^\top C_{xx} n` displaces this point by
-        :math:`u = f C_{fx} n`. Let m be the largest generalized eigenvalue of :math:`C_{fx}^\top C_{fx}` and
-        :math:`C_{xx}`. Then :math:`|u|^2 \le m f \delta`, and :math:`f \delta` is at most
-        `ContactLimit.stiffness_per_pa` times the squared depth. Ends and middle of the part are examined.
+        A contact of the force f along n at x deflects the part by :math:`\delta = f\, n^\top C_{xx} n`, and this point
+        by :math:`u = f C_{fx} n`. The bending moments that do so share the wood on the paths of both. Of the compliance
+        of this point, let S be the share of that wood. Then (Cauchy and Schwarz) :math:`|u|^2 \le \lambda_{max}(S) f
+        \delta`, and S grows towards the outer end of the part. :math:`f \delta` is at most
+        `ContactLimit.stiffness_per_pa` times the squared depth, for wood of 1 Pa.
         """
         if isinstance(limit.displacement, HangingPoint):
             return self._ratio_by_fruit(limit, limit.displacement), False
-        limbs, numbers = self.limbs, (self.segment, limit.segment)
+        limbs = self.limbs
         path, other = limbs.path(self.segment), limbs.path(limit.segment)
         if not path or not other or path[-1] != other[-1]:
             return 0.0, False
-        here, axis = limbs.start[self.segment] + self.along * limbs.axis[self.segment], limbs.axis[limit.segment]
-        largest = 0.0
-        for along in (limit.along[0], 0.5 * sum(limit.along), limit.along[1]):
-            at = limbs.start[limit.segment] + along * axis
-            moved = limbs.mutual_compliance(numbers, np.stack([here, at]), 1.0)
-            own = limbs.compliance(limit.segment, along / float(limbs.length[limit.segment]), 1.0)[:3, :3]
-            largest = max(largest, _generalized_eigenvalue(moved.T @ moved, own))
-        return math.sqrt(largest * limit.stiffness_per_pa), limit.segment in path or self.segment in other
+        points = np.stack([self._place, limbs.start[limit.segment] + limit.along[1] * limbs.axis[limit.segment]])
+        shared = limbs.shared_compliance((self.segment, limit.segment), points, 1.0)
+        squared = float(np.linalg.eigvalsh(shared)[-1]) * limit.stiffness_per_pa
+        return math.sqrt(max(0.0, squared)), limit.segment in path or self.segment in other
+
+    @cached_property
+    def _place(self) -> FloatArray:
+        """(3,) the point [m]."""
+        place: FloatArray = self.limbs.start[self.segment] + self.along * self.limbs.axis[self.segment]
+        return place
 
     def displacement_by_push(self, force: float, depth: float) -> float:
         r"""Upper bound of the displacement of the fruit itself by a push with any normal [m].
@@ -90,44 +97,56 @@ class HangingPoint(Record):
     @cached_property
     def _softest(self) -> float:
         """Largest compliance of limb and pendulum at rest [m/N]."""
-        limbs, cosine = self.limbs, math.sqrt(1.0 - MOST_SWING**2)
-        here = limbs.start[self.segment] + self.along * limbs.axis[self.segment]
-        limb = limbs.mutual_compliance((self.segment, self.segment), np.stack([here, here]), self.youngs_modulus[0])
+        cosine, points = math.sqrt(1.0 - MOST_SWING**2), np.stack([self._place, self._place])
+        limb = self.limbs.mutual_compliance((self.segment, self.segment), points, self.youngs_modulus[0])
         return float(np.linalg.eigvalsh(limb)[-1]) + float(np.linalg.eigvalsh(self.swing)[-1]) / cosine
 
     def _ratio_by_fruit(self, limit: ContactLimit, other: HangingPoint) -> float:
         """Largest displacement per deflection of another fruit on the same limb.
 
         A push of the depth d along n exerts d / (n C n) with the compliance C of limb and pendulum, and at most the
-        limit's force. The softest limb is displaced most, since the pendulum does not depend on it. Many normals are
-        examined.
+        limit's force. The softest limb is displaced most, since the pendulum does not depend on it.
         """
-        limbs, numbers, soft = self.limbs, (self.segment, other.segment), self.youngs_modulus[0]
-        points = np.stack([
-            limbs.start[point.segment] + point.along * limbs.axis[point.segment] for point in (self, other)
-        ])  # fmt: skip
+        limbs, soft, points = self.limbs, self.youngs_modulus[0], np.stack([self._place, other._place])
         own = limbs.mutual_compliance((other.segment, other.segment), points[[1, 1]], soft) + other.swing
-        normals = _half_sphere(_SPHERE)
-        moved = np.linalg.norm(normals @ limbs.mutual_compliance(numbers, points, soft).T, axis=1)
-        per_depth = 1.0 / np.maximum(np.einsum("ni,ij,nj->n", normals, own, normals), TINY)
-        return float((moved * np.minimum(per_depth, limit.force / max(limit.depth, TINY))).max())
+        moved = limbs.mutual_compliance((self.segment, other.segment), points, soft)
+        return largest_ratio(moved, own, limit.force / max(limit.depth, TINY))
 
 
-def _generalized_eigenvalue(above: FloatArray, below: FloatArray) -> float:
-    """Upper bound of the largest generalized eigenvalue of two positive semidefinite matrices."""
-    # Along a limb both vanish. A small fraction of the trace makes `below` invertible.
-    scale, rest = float(np.trace(below)), 1e-9
-    if scale <= 0.0:
-        return 0.0
-    root = np.linalg.cholesky(below + rest * scale * np.eye(3))
-    half = np.linalg.solve(root, above)
-    return float(np.linalg.eigvalsh(np.linalg.solve(root, half.T))[-1]) * (1.0 + 1e-6)
+def largest_ratio(moved: FloatArray, own: FloatArray, stiffest: float) -> float:
+    r"""Upper bound of a displacement per deflection over all normals of a push.
 
+    Let :math:`c = n^\top C n` and :math:`q = |M n|^2`. For every number m, :math:`q \le \lambda_{max}(M^\top M - m C) +
+    m c`. Over an interval of c the right side is largest at one end; the least over many m bounds q there. The pairs
+    (c, q) fill a convex set (Brickman 1961, On the field of values of a matrix), so this is tight up to the steps of c
+    and m.
 
-@cache
-def _half_sphere(count: int) -> FloatArray:
-    """(count, 3) evenly distributed directions with z > 0."""
-    rank = np.arange(count) + 0.5
-    height, turn = rank / count, math.pi * (1.0 + math.sqrt(5.0)) * rank
-    across = np.sqrt(1.0 - height**2)
-    return readonly(np.column_stack([across * np.cos(turn), across * np.sin(turn), height]))
+    Args:
+        moved: (3, 3) displacement of a point per force elsewhere, M [m/N].
+        own: (3, 3) compliance where the force acts, C [m/N].
+        stiffest: Largest force per deflection there, whatever C says [N/m].
+
+    Returns:
+        Bound of :math:`|M n| \min(1 / (n^\top C n), k)` over all unit vectors n, for the largest stiffness k.
+
+    Examples:
+        >>> import numpy as np
+        >>> from hplan.scene.hanging_point import largest_ratio
+        >>> round(largest_ratio(np.eye(3), np.diag([0.5, 1.0, 2.0]), 10.0), 2)
+        2.0
+    """
+    squared = moved.T @ moved
+    size, (least, _, softest) = float(np.linalg.eigvalsh(squared)[-1]), np.linalg.eigvalsh(own).tolist()
+    if size <= 0.0 or softest <= 0.0:
+        return math.sqrt(max(0.0, size)) * stiffest
+    least, softest = max(0.0, least - _ROUNDING * softest), softest * (1.0 + _ROUNDING)
+    bent = min(max(least, 1.0 / stiffest), softest)
+    count = 2 + math.ceil(math.log(softest / bent) / math.log(_STEP))
+    ends = np.concatenate([[least], np.geomspace(bent, softest, count)])
+    slopes = _SLOPES * size / softest
+    top = np.linalg.eigvalsh(squared - slopes[:, None, None] * own)[:, -1]
+    above = (top + _ROUNDING * size * (1.0 + np.abs(_SLOPES)))[:, None] + slopes[:, None] * ends
+    squares = np.maximum(above[:, :-1], above[:, 1:]).min(axis=0)
+    with np.errstate(divide="ignore"):
+        per_force = np.minimum(1.0 / ends[:-1], stiffest)
+    return float((np.sqrt(np.maximum(squares, 0.0)) * per_force).max())

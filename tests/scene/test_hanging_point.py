@@ -60,7 +60,7 @@ def tree(seed: int) -> Scene:
     pieces = [Capsule(name="trunk", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, 2.0), radius=0.03)]
     for number in range(3):
         parent = pieces[0].name if number == 0 else f"limb {number - 1}"
-        end = at + [0.2, *random.normal(scale=0.1, size=2)]
+        end = at + np.array([0.2, *random.normal(scale=0.1, size=2)])
         ends = tuple(at.tolist()), tuple(end.tolist())
         pieces.append(Capsule(name=f"limb {number}", start=ends[0], end=ends[1], radius=0.006, parent=parent))
         tip = tuple((end + random.normal(scale=0.08, size=3)).tolist())

@@ -68,7 +68,7 @@ from hplan.certificate.moving_obstacles import (
     prediction_violations,
 )
 from hplan.certificate.pair_rules import PairRule, joined_rules, pair_rules
-from hplan.certificate.pushes import Push
+from hplan.certificate.segment_contacts import Push, SegmentContacts
 from hplan.certificate.start_state import start_violations
 from hplan.certificate.task_check import task_violations
 from hplan.certificate.tilted_base import use_on_track
@@ -198,9 +198,9 @@ class Certificate:
         return None if self.subject is None else self.subject.pushes
 
     @property
-    def pushes_by_segment(self) -> tuple[Push, ...]:
+    def pushes_by_segment(self) -> SegmentContacts:
         """Contacts with compliant obstacles within single segments; empty if they are unknown."""
-        return () if self.subject is None else self.subject.pushes_by_segment
+        return SegmentContacts.none() if self.subject is None else self.subject.pushes_by_segment
 
     @property
     def reversal(self) -> Certificate:
@@ -509,7 +509,7 @@ def certify_among(
     least = min(missing or (proof.clearance_m for proof in proofs))
     motion = ProvedMotion(robot, trajectory, tuple(proved), clearance)
     subject, moved = Subject(((motion, False),)), None
-    if not violations and any(checker.has_limbs for _, checker in among):
+    if not violations and subject.has_limbs:
         violations += load_violations(robot, subject.pushes_by_segment)
         moved = goal_displacement(subject)
         violations += capture_violations(moved)
@@ -592,7 +592,7 @@ def all_of(parts: Sequence[Certificate]) -> Certificate:
     if len(parts) == 1:
         return parts[0]
     subject, moved = joined_subjects(part.subject for part in parts), None
-    if subject is not None and any(part.goal_displacement_m is not None for part in parts):
+    if subject is not None and subject.has_limbs:
         moved = goal_displacement(subject)
     violations = dict.fromkeys(violation for part in parts for violation in part.violations)
     violations |= dict.fromkeys(capture_violations(moved))

@@ -30,7 +30,8 @@ from hplan.base import ties
 from hplan.base.arguments import check_integer
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen
 from hplan.certificate.clearance_proof import Advancement, Proof, place_after, point_at
-from hplan.certificate.pushes import Push, merge_contacts, pushes_along
+from hplan.certificate.pushes import pushes_along
+from hplan.certificate.segment_contacts import Push, SegmentContacts
 from hplan.collision.coal_scene import CoalScene
 from hplan.robot.model import Robot
 from hplan.trajectory.trajectory import Trajectory
@@ -145,22 +146,16 @@ class ProvedMotion(Record):
         return _one_after_the_other(found)
 
     @cached_property
-    def pushes(self) -> tuple[Push, ...]:
-        """Contacts of the motion with compliant obstacles, merged over time."""
-        return merge_contacts(self.pushes_by_segment)
-
-    @cached_property
-    def pushes_by_segment(self) -> tuple[Push, ...]:
+    def pushes_by_segment(self) -> SegmentContacts:
         """Contacts of the motion with compliant obstacles within each segment."""
         bezier, _ = self.trajectory.segments
-        found = list[Push]()
-        for stretch in self.stretches:
-            part, time = stretch.part, self.trajectory.time[stretch.part.start : stretch.part.stop + 1]
-            found += pushes_along(
-                bezier[part], time, stretch.checker, stretch.deviations, self.clearance, stretch.clock,
-                proved=stretch.proof.is_certified,
-            )  # fmt: skip
-        return tuple(found)
+        return SegmentContacts.join(
+            pushes_along(
+                bezier[stretch.part], self.trajectory.time[stretch.part.start : stretch.part.stop + 1],
+                stretch.checker, stretch.deviations, self.clearance, stretch.clock, proved=stretch.proof.is_certified,
+            )
+            for stretch in self.stretches
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +167,11 @@ class Subject(Record):
     """
 
     motions: tuple[tuple[ProvedMotion, bool], ...]
+
+    @property
+    def has_limbs(self) -> bool:
+        """True if a link may push a part of a limb or a hanging fruit in one of the motions."""
+        return any(stretch.checker.has_limbs for motion, _ in self.motions for stretch in motion.stretches)
 
     @property
     def reversal(self) -> Subject:
@@ -189,21 +189,19 @@ class Subject(Record):
         return _one_after_the_other(found)
 
     @cached_property
-    def pushes_by_segment(self) -> tuple[Push, ...]:
+    def pushes_by_segment(self) -> SegmentContacts:
         """Contacts with compliant obstacles within single segments, over the total time of all motions."""
-        found, begin = list[Push](), 0.0
+        found, begin_s = list[SegmentContacts](), 0.0
         for motion, backwards in self.motions:
-            duration = motion.trajectory.duration
-            for push in motion.pushes_by_segment:
-                span = (duration - push.end_s, duration - push.begin_s) if backwards else (push.begin_s, push.end_s)
-                found.append(replace(push, begin_s=begin + span[0], end_s=begin + span[1]))
-            begin += duration
-        return tuple(found)
+            duration_s = motion.trajectory.duration
+            found.append(motion.pushes_by_segment.shift(begin_s, reversed_after_s=duration_s if backwards else None))
+            begin_s += duration_s
+        return SegmentContacts.join(found)
 
-    @cached_property
+    @property
     def pushes(self) -> tuple[Push, ...]:
         """Contacts with compliant obstacles, merged over the total time of all motions."""
-        return merge_contacts(self.pushes_by_segment)
+        return self.pushes_by_segment.merged
 
 
 def joined_subjects(parts: Iterable[Subject | None]) -> Subject | None:

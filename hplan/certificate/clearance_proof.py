@@ -237,12 +237,15 @@ class Advancement:
         none, asked = np.zeros(len(checker.pairs)), checker.required_distance(needed)
         kept = asked + checker.distance_errors
         may_lack = none + (needed - asked)
-        before = none - np.finfo(np.float64).tiny
+        # Pairs that may touch are certified from the beginning.
+        is_free = checker.taken_off == -math.inf
+        due = np.where(is_free, math.inf, 0.0)
+        upto = np.where(is_free, travel[mover_of, -1], -np.finfo(np.float64).tiny)
         self._counted = checker.deflection_offsets(needed)
         by_itself = may_lack > self._counted
         bound = np.where(by_itself, np.cumsum(by_itself), 0.0)
         self.shown: FloatArray = np.full(1 + int(by_itself.sum()), math.inf)
-        self.pairs = np.stack([kept, none, before, none + math.inf, none, may_lack, checker.taken_off, bound])
+        self.pairs = np.stack([kept, due, upto, none + math.inf, none, may_lack, checker.taken_off, bound])
         self._required = none + asked
         self.mover_of = mover_of
         self._ahead, self.checks, self.looks = _AHEAD, 0, 0
@@ -270,10 +273,10 @@ class Advancement:
 
         The other pairs are due there too.
         """
-        pairs, q = np.arange(len(self._checker.pairs)), self._bezier[0, 0]
+        pairs, q = self._checker.meeting_pairs, self._bezier[0, 0]
         if len(pairs) > FIRST:
-            nearness = self._checker.lower_bounds(q, pairs) - self.pairs[0]
-            pairs = np.sort(np.argpartition(nearness, FIRST)[:FIRST])
+            nearness = self._checker.lower_bounds(q, pairs) - self.pairs[0, pairs]
+            pairs = pairs[np.sort(np.argpartition(nearness, FIRST)[:FIRST])]
         return pairs, 0.0, q
 
     def next_query(self, look: Look) -> Look | None:
@@ -344,7 +347,7 @@ class Advancement:
         shown = min(*self._places(), float(rows))
         end = shown if outcome != "travel" else float(self.bounded)
         first = min(int(shown * share), rows * share - 1)
-        due = [(first, pair) for pair in range(len(self._checker.pairs))] if measured else []
+        due = [(first, pair) for pair in self._checker.meeting_pairs.tolist()] if measured else []
         while due:
             check_deadline()
             sample = due[0][0]

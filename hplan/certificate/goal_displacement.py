@@ -22,8 +22,7 @@ energy is conserved. Limbs that are thrown ahead are not included.
 from __future__ import annotations
 
 import math
-from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -31,8 +30,8 @@ import numpy as np
 from hplan.base import ties
 from hplan.certificate.clearance_curve import ProvedMotion, Subject
 from hplan.certificate.goal_contact import REST
-from hplan.certificate.pushes import Push
-from hplan.scene.obstacle_kind import ContactLimit
+from hplan.certificate.segment_contacts import SegmentContacts
+from hplan.scene.obstacle_kind import ContactLimit, Hanging
 from hplan.scene.wood import DAMPING_RATIO
 
 
@@ -54,11 +53,13 @@ class Grasp(NamedTuple):
     """A grasp of a hanging fruit.
 
     Attributes:
-        fruit: The fruit's own contact limit.
+        name: Name of the fruit.
+        fruit: Its own contact limit.
         touched_s: Time from which the hand may touch it [s].
         time_s: Time of the grasp [s].
     """
 
+    name: str
     fruit: ContactLimit
     touched_s: float
     time_s: float
@@ -66,10 +67,10 @@ class Grasp(NamedTuple):
 
 def goal_displacement(subject: Subject) -> GoalDisplacement | None:
     """Upper bounds over the grasps of a sequence of motions; None without a grasp of a hanging fruit."""
-    found, pushes = list[GoalDisplacement](), subject.pushes_by_segment
+    found, contacts = list[GoalDisplacement](), subject.pushes_by_segment
     for grasp in _grasps(subject):
-        held = displacement_at(pushes, grasp)
-        found.append(GoalDisplacement(held, swing_at(pushes, grasp), held - grasp.fruit.capture_range))
+        held = displacement_at(contacts, grasp)
+        found.append(GoalDisplacement(held, swing_at(contacts, grasp), held - grasp.fruit.capture_range))
     return GoalDisplacement(*map(max, zip(*found, strict=True))) if found else None
 
 
@@ -93,49 +94,49 @@ def _grasps(subject: Subject) -> Iterator[Grasp]:
         duration_s = motion.trajectory.duration
         for grasp in _grasps_of(motion):
             if not backwards:
-                yield Grasp(grasp.fruit, begin_s + grasp.touched_s, begin_s + grasp.time_s)
+                yield Grasp(grasp.name, grasp.fruit, begin_s + grasp.touched_s, begin_s + grasp.time_s)
         begin_s += duration_s
 
 
 def _grasps_of(motion: ProvedMotion) -> Iterator[Grasp]:
     trajectory, robot = motion.trajectory, motion.robot
-    touched_s = dict[ContactLimit, float]()
+    touched_s = dict[str, float]()
     for part, checker, *_ in motion.stretches:
         rows = np.arange(part.start, min(part.stop + 1, trajectory.samples))
         speeds = np.abs(trajectory.velocity[rows]).max(axis=1)
         resting = rows[speeds <= max(REST, float(speeds.min()))]
-        for center, limit in checker.fruit_limits:
-            first_s = touched_s.setdefault(limit, float(trajectory.time[part.start]))
+        for name, center, limit in checker.fruit_limits:
+            first_s = touched_s.setdefault(name, float(trajectory.time[part.start]))
             apart = np.linalg.norm(robot.tool_positions(trajectory.position[resting]) - center, axis=1)
-            yield Grasp(limit, first_s, float(trajectory.time[resting[ties.argmin(apart)]]))
+            yield Grasp(name, limit, first_s, float(trajectory.time[resting[ties.argmin(apart)]]))
 
 
-def displacement_at(pushes: Sequence[Push], grasp: Grasp) -> float:
+def displacement_at(contacts: SegmentContacts, grasp: Grasp) -> float:
     """Upper bound of the displacement by contacts that last until a grasp [m].
 
     Args:
-        pushes: Contacts within single segments of a motion.
+        contacts: Contacts within single segments of a motion.
         grasp: The grasp.
     """
-    return sum(contact.last for contact in _contacts(pushes, grasp) if contact.end_s >= grasp.time_s)
+    return sum(contact.last for contact in _displacements(contacts, grasp) if contact.end_s >= grasp.time_s)
 
 
-def swing_at(pushes: Sequence[Push], grasp: Grasp) -> float:
+def swing_at(contacts: SegmentContacts, grasp: Grasp) -> float:
     """Upper bound of the swing about the place where contacts hold a fruit [m].
 
     Args:
-        pushes: Contacts within single segments of a motion.
+        contacts: Contacts within single segments of a motion.
         grasp: The grasp.
     """
     swing, decay = 0.0, grasp.fruit.decay_rate
-    for contact in _contacts(pushes, grasp):
+    for contact in _displacements(contacts, grasp):
         left = contact.last if contact.end_s >= grasp.time_s else 0.0
         thrown = 2.0 * contact.speed * DAMPING_RATIO / decay if contact.speed > 0.0 else 0.0
         swing += (2.0 * contact.most - left + thrown) * math.exp(-decay * max(0.0, grasp.time_s - contact.end_s))
     return swing
 
 
-class _Contact(NamedTuple):
+class _Displacement(NamedTuple):
     """Displacement of a fruit by one contact.
 
     Attributes:
@@ -151,41 +152,47 @@ class _Contact(NamedTuple):
     speed: float
 
 
-def _contacts(pushes: Sequence[Push], grasp: Grasp) -> list[_Contact]:
+def _displacements(contacts: SegmentContacts, grasp: Grasp) -> list[_Displacement]:
     """Displacements of a fruit by the contacts that begin before its grasp."""
-    fruit = grasp.fruit
-    if fruit.displacement is None:
+    point, loads = grasp.fruit.displacement, contacts.loads
+    if point is None:
         return []
-    of_bodies: dict[tuple[int, str], dict[tuple[float, float], tuple[float, float]]] = defaultdict(dict)
-    for push in pushes:
-        load = push.load
-        if load is None or push.begin_s > grasp.time_s:
-            continue
-        is_own = load.limit.displacement is fruit.displacement
-        if not is_own and (fruit.root < 0 or load.limit.root != fruit.root):
-            continue
-        if is_own:
-            carries = False
-            moved = fruit.displacement.displacement_by_push(load.share * load.limit.force, load.whole_depth), load.speed
+    own = np.array([name == grasp.name for name in contacts.obstacles], dtype=np.bool_)
+    is_own = own[contacts.rows["obstacle"][loads.row]]
+    related = is_own | ((loads.root == grasp.fruit.root) & (grasp.fruit.root >= 0))
+    kept = np.flatnonzero(related & (contacts.rows["begin_s"][loads.row] <= grasp.time_s))
+    if not len(kept):
+        return []
+    rows, is_own = contacts.rows[loads.row[kept]], is_own[kept]
+    used, of_each = np.unique(rows["limit"], return_inverse=True)
+    ratios = [(0.0, False) if own[number] else _ratio_of(point, contacts.limits[number]) for number in used.tolist()]
+    ratio, carries = (np.array(column)[of_each] for column in zip(*ratios, strict=True))
+    size, speed = rows["depth"] * ratio, np.where(is_own, rows["speed"], 0.0)
+    size[is_own] = [
+        point.displacement_by_push(*each)
+        for each in zip(loads.static[kept][is_own].tolist(), rows["whole_depth"][is_own].tolist(), strict=True)
+    ]
+    lasts = is_own & (rows["end_s"] >= grasp.touched_s - _TOUCHING_S)
+    end_s = np.where(lasts, grasp.time_s, rows["end_s"])
+    body = np.where(carries, -1, loads.segment[kept]), np.where(loads.is_fruit[kept], rows["obstacle"], -1)
+    order = np.lexsort((end_s, rows["begin_s"], *body))
+    columns = (np.stack(body, axis=1), np.stack([rows["begin_s"], end_s], axis=1), size, speed)
+    found, last = list[_Displacement](), ([-2, -2], [0.0, 0.0])
+    for key, span, most, fast in zip(*(column[order].tolist() for column in columns), strict=True):
+        if key != last[0] or span[0] > found[-1].end_s + _TOUCHING_S:
+            found.append(_Displacement(span[1], most, most, fast))
         else:
-            ratio, carries = fruit.displacement(load.limit)
-            moved = push.depth_m * ratio, 0.0
-        key = -1 if carries else load.limit.segment, push.obstacle if load.limit.swing > 0.0 else ""
-        end_s = grasp.time_s if is_own and push.end_s >= grasp.touched_s - _TOUCHING_S else push.end_s
-        span = push.begin_s, end_s
-        known = of_bodies[key].get(span, (0.0, 0.0))
-        of_bodies[key][span] = max(known[0], moved[0]), max(known[1], moved[1])
-    found = list[_Contact]()
-    for spans in of_bodies.values():
-        contact: _Contact | None = None
-        for (begin, end), (size, speed) in sorted(spans.items()):
-            if contact is not None and begin <= contact.end_s + _TOUCHING_S:
-                contact = _Contact(max(contact.end_s, end), max(contact.most, size), size, max(contact.speed, speed))
-                found[-1] = contact
-            else:
-                contact = _Contact(end, size, size, speed)
-                found.append(contact)
+            known = found[-1]
+            # Of several parts within one segment the largest counts.
+            now = max(most, known.last) if span == last[1] else most
+            found[-1] = _Displacement(max(known.end_s, span[1]), max(known.most, most), now, max(known.speed, fast))
+        last = key, span
     return found
+
+
+def _ratio_of(point: Hanging, limit: ContactLimit | None) -> tuple[float, bool]:
+    """Displacement of a fruit per depth of a contact, and whether limbs of both carry each other."""
+    return (0.0, False) if limit is None else point(limit)
 
 
 #: Contacts with one limb that are less than this apart are one [s].

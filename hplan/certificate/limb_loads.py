@@ -11,87 +11,130 @@ Each contact alone keeps them by its depth (`hplan.scene.limb_depths`) and speed
 
 from __future__ import annotations
 
-import math
-from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from itertools import combinations
 from typing import Final
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray
-from hplan.certificate.pushes import Load, Push
+from hplan.base.arrays import FloatArray, IntArray
+from hplan.certificate.segment_contacts import SegmentContacts
 from hplan.robot.model import Robot
 
 
-def load_violations(robot: Robot, pushes: Sequence[Push]) -> Iterator[str]:
+def load_violations(robot: Robot, contacts: SegmentContacts) -> Iterator[str]:
     """Messages about limits of force and stress that contacts do not keep.
 
     Args:
         robot: The arm.
-        pushes: Contacts within single segments of a motion, as from `hplan.certificate.pushes.pushes_along`.
+        contacts: Contacts within single segments of a motion, as from `hplan.certificate.pushes.pushes_along`.
     """
-    by_time: dict[float, list[tuple[Push, Load]]] = defaultdict(list)
-    worst = dict[tuple[str, str, str], tuple[float, str]]()
-    for push in pushes:
-        if push.load is None:
-            continue
-        by_time[push.begin_s].append((push, push.load))
-        if push.load.force > push.load.limit.most_force:
-            words = f"exerts up to {push.load.force:.3g} N on {push.obstacle!r}, {_speed_in_words(push.load)}"
-            _note(worst, (push.link, push.obstacle, "force"), push.load.force,
-                  f"{words}; allowed: {push.load.limit.most_force:g} N")  # fmt: skip
-    for begin_s, found in by_time.items():
-        roots: dict[int, list[tuple[Push, Load]]] = defaultdict(list)
-        for push, load in found:
-            if load.limit.root >= 0:
-                roots[load.limit.root].append((push, load))
-        for loads in roots.values():
-            stress, allowed = _stress(loads), min(load.limit.most_stress for _, load in loads)
-            if stress > allowed:
-                push = max(loads, key=lambda pair: pair[1].stress)[0]
-                _note(worst, (push.link, push.obstacle, "stress"), stress,
-                      f"and others bend {push.obstacle!r} by up to {1e-6 * stress:.3g} MPa at {begin_s:.6g} s; "
-                      f"allowed: {1e-6 * allowed:g} MPa")  # fmt: skip
-            pinched = _squeezing(robot, loads)
-            if pinched is not None:
-                one, other = pinched
-                _note(worst, (one.link, one.obstacle, "side"), 0.0,
-                      f"and {other.link!r} may squeeze {one.obstacle!r} and {other.obstacle!r} from two sides at "
-                      f"{begin_s:.6g} s")  # fmt: skip
-    for (link, _, _), (_, words) in worst.items():
-        yield f"{robot.link_in_words(link)} {words}"
+    loads, stresses = contacts.loads, contacts.stresses
+
+    def force_in_words(row: int) -> str:
+        speed = float(contacts.rows["speed"][loads.row[row]])
+        return (
+            f"exerts up to {loads.force[row]:.3g} N on {contacts.obstacle(loads.row[row])!r}, {loads.impact[row]:.3g} N"
+            f" of it by its speed of up to {speed:.3g} m/s; allowed: {loads.most_force[row]:g} N"
+        )
+
+    too_much = np.flatnonzero(loads.force > loads.most_force)
+    yield from _worst(robot, contacts, too_much, loads.force[too_much], force_in_words)
+
+    bending = np.flatnonzero(stresses.stress > stresses.most)
+    by_row = {_strongest(contacts, stresses.loads(group)): group for group in bending.tolist()}
+
+    def stress_in_words(row: int) -> str:
+        group, begin_s = by_row[row], float(contacts.rows["begin_s"][loads.row[row]])
+        return (
+            f"and others bend {contacts.obstacle(loads.row[row])!r} by up to {1e-6 * stresses.stress[group]:.3g} MPa "
+            f"at {begin_s:.6g} s; allowed: {1e-6 * stresses.most[group]:g} MPa"
+        )
+
+    rows = np.array(list(by_row), dtype=np.int64)
+    yield from _worst(robot, contacts, rows, stresses.stress[bending], stress_in_words)
+    pinched = dict(_squeezing(robot, contacts))
+
+    def sides_in_words(row: int) -> str:
+        one, other = (int(loads.row[each]) for each in (row, pinched[row]))
+        return (
+            f"and {contacts.link(other)!r} may squeeze {contacts.obstacle(one)!r} and {contacts.obstacle(other)!r} "
+            f"from two sides at {contacts.rows['begin_s'][one]:.6g} s"
+        )
+
+    rows = np.array(list(pinched), dtype=np.int64)
+    yield from _worst(robot, contacts, rows, np.zeros(len(rows)), sides_in_words)
 
 
-def shared_limb_violations(pushes: Mapping[str, Sequence[Push]]) -> Iterator[str]:
-    """Messages about limbs that two arms of a workcell push at the same time.
+def _worst(
+    robot: Robot, contacts: SegmentContacts, rows: IntArray, sizes: FloatArray, in_words: Callable[[int], str]
+) -> Iterator[str]:
+    """Message about the largest violation of each link and obstacle.
 
     Args:
-        pushes: Contacts of each arm within single segments of its motion, by the name of the arm; limbs have the same
-            numbers for all arms.
+        robot: The arm.
+        contacts: The contacts.
+        rows: (k,) numbers of their loads.
+        sizes: (k,) sizes of the violations.
+        in_words: The message about a load, after the name of the link.
     """
-    for (one, first), (other, second) in combinations(pushes.items(), 2):
-        for push in first:
-            meeting = (each for each in second if _share_limb(push, each))
-            found = next(meeting, None)
-            if found is not None:
-                limbs = f"{push.obstacle!r} and {found.obstacle!r}"
-                yield f"{one!r} and {other!r} push {limbs}, which share a limb, at {push.begin_s:.6g} s"
+    worst = dict[tuple[str, str], tuple[float, int]]()
+    for row, size in zip(rows.tolist(), sizes.tolist(), strict=True):
+        contact = int(contacts.loads.row[row])
+        key = contacts.link(contact), contacts.obstacle(contact)
+        if key not in worst or size > worst[key][0]:
+            worst[key] = size, row
+    for (link, _), (_, row) in worst.items():
+        yield f"{robot.link_in_words(link)} {in_words(row)}"
+
+
+def _strongest(contacts: SegmentContacts, group: IntArray) -> int:
+    """The load with the largest stress of some."""
+    return int(group[contacts.loads.stress[group].argmax()])
+
+
+def _squeezing(robot: Robot, contacts: SegmentContacts) -> Iterator[tuple[int, int]]:
+    """Loads on limbs with one root, at one time, by links that share no joint: two for each root and time."""
+    stresses, parents = contacts.stresses, robot.model.parents
+    joint = contacts.rows["joint"][contacts.loads.row]
+    if not len(stresses.first):
+        return
+    least, most = (each.reduceat(joint[stresses.order], stresses.first) for each in (np.minimum, np.maximum))
+    for group in np.flatnonzero(least < most).tolist():
+        loads = stresses.loads(group)
+        for one, other in combinations(loads.tolist(), 2):
+            a, b = int(joint[one]), int(joint[other])
+            if a != b and parents[a] != b and parents[b] != a:
+                yield other, one
                 break
 
 
-def _share_limb(one: Push, other: Push) -> bool:
-    """True if two contacts are on limbs with one root, at the same time."""
-    if one.load is None or other.load is None or one.load.limit.root != other.load.limit.root:
-        return False
-    return one.load.limit.root >= 0 and one.begin_s <= other.end_s and other.begin_s <= one.end_s
+def shared_limb_violations(contacts: Mapping[str, SegmentContacts]) -> Iterator[str]:
+    """Messages about limbs that two arms of a workcell push at the same time.
+
+    Args:
+        contacts: Contacts of each arm within single segments of its motion, by the name of the arm; limbs have the same
+            numbers for all arms.
+    """
+    for (one, first), (other, second) in combinations(contacts.items(), 2):
+        (root, begin_s, end_s), (roots, begins_s, ends_s) = (
+            (own.loads.root, own.rows["begin_s"][own.loads.row], own.rows["end_s"][own.loads.row])
+            for own in (first, second)
+        )
+        for row in np.flatnonzero(root >= 0).tolist():
+            meets = np.flatnonzero((roots == root[row]) & (begin_s[row] <= ends_s) & (begins_s <= end_s[row]))
+            if len(meets):
+                names = first.obstacle(first.loads.row[row]), second.obstacle(second.loads.row[meets[0]])
+                limbs = f"{names[0]!r} and {names[1]!r}"
+                yield f"{one!r} and {other!r} push {limbs}, which share a limb, at {begin_s[row]:.6g} s"
+                break
 
 
-def gentle_speeds(pushes: Sequence[Push], duration_s: float, ease_s: float) -> FloatArray | None:
+def gentle_speeds(contacts: SegmentContacts, duration_s: float, ease_s: float) -> FloatArray | None:
     """Fractions of a motion's speed over time with which impacts keep the limits of force and stress.
 
     Args:
-        pushes: Contacts within single segments of the motion.
+        contacts: Contacts within single segments of the motion.
         duration_s: Its duration [s].
         ease_s: Time before and after a contact with the reduced speed, for braking [s].
 
@@ -99,31 +142,21 @@ def gentle_speeds(pushes: Sequence[Push], duration_s: float, ease_s: float) -> F
         (n, 2) times [s] and fractions, as for `Trajectory.scale_speed`; None if the motion need not be slower, or if no
         speed helps.
     """
-    slower = list[tuple[float, float, float]]()
-    by_root: dict[tuple[float, int], list[tuple[Push, Load]]] = defaultdict(list)
-    for push in pushes:
-        load = push.load
-        if load is None:
-            continue
-        by_root[push.begin_s, load.limit.root].append((push, load))
-        room = load.limit.most_force - load.share * load.limit.force
-        if load.impact > room:
-            fraction = max(0.0, room) / load.impact
-            slower.append((push.begin_s, push.end_s, math.sqrt(fraction) if load.limit.swing > 0.0 else fraction))
-    for (_, root), loads in by_root.items():
-        impact = max(load.impact_stress for _, load in loads)
-        room = min(load.limit.most_stress for _, load in loads) - (_stress(loads) - impact)
-        if root >= 0 and impact > room:
-            push = loads[0][0]
-            slower.append((push.begin_s, push.end_s, max(0.0, room) / impact))
-    if not slower or min(fraction for *_, fraction in slower) < _SLOWEST:
+    loads, stresses = contacts.loads, contacts.stresses
+    room = loads.most_force - loads.static
+    hard = np.flatnonzero(loads.impact > room)
+    fraction = np.maximum(0.0, room[hard]) / loads.impact[hard]
+    fraction = np.where(loads.is_fruit[hard], np.sqrt(fraction), fraction)  # with the square of the speed
+    left = stresses.most - (stresses.stress - stresses.impact)
+    bending = np.flatnonzero(stresses.impact > left)
+    fraction = np.append(fraction, np.maximum(0.0, left[bending]) / stresses.impact[bending])
+    if not len(fraction) or fraction.min() < _SLOWEST:
         return None
+    rows = loads.row[np.append(hard, stresses.order[stresses.first[bending]]).astype(np.int64)]
+    begin_s, end_s = contacts.rows["begin_s"][rows] - ease_s, contacts.rows["end_s"][rows] + ease_s
     times = np.linspace(0.0, duration_s, max(2, round(duration_s / _SPEED_STEP_S) + 1))
-    fractions = np.ones(len(times))
-    for begin_s, end_s, fraction in slower:
-        near = (times >= begin_s - ease_s) & (times <= end_s + ease_s)
-        fractions[near] = np.minimum(fractions[near], _SPARE * fraction)
-    return np.column_stack([times, fractions])
+    near = (times[:, None] >= begin_s) & (times[:, None] <= end_s)
+    return np.column_stack([times, np.where(near, _SPARE * fraction, 1.0).min(axis=1)])
 
 
 #: Minimum fraction of its speed to which a motion is slowed down for impacts.
@@ -134,35 +167,3 @@ _SPARE: Final = 0.93
 
 #: Step of the speeds [s].
 _SPEED_STEP_S: Final = 0.02
-
-
-def _note(
-    worst: dict[tuple[str, str, str], tuple[float, str]], key: tuple[str, str, str], size: float, words: str
-) -> None:
-    """Keep the message of the largest violation of a kind."""
-    if key not in worst or size > worst[key][0]:
-        worst[key] = size, words
-
-
-def _speed_in_words(load: Load) -> str:
-    return f"{load.impact:.3g} N of it by its speed of up to {load.speed:.3g} m/s"
-
-
-def _stress(loads: Sequence[tuple[Push, Load]]) -> float:
-    """Bending stress by simultaneous contacts of limbs with one root [Pa]."""
-    of_segment: dict[tuple[int, bool], float] = defaultdict(float)
-    for _, load in loads:
-        key = load.limit.segment, load.limit.swing > 0.0
-        of_segment[key] = max(of_segment[key], load.stress)
-    return sum(of_segment.values()) + max(load.impact_stress for _, load in loads)
-
-
-def _squeezing(robot: Robot, loads: Sequence[tuple[Push, Load]]) -> tuple[Push, Push] | None:
-    """Two contacts by links that share no joint, or None."""
-    parents = robot.model.parents
-    for n, (push, load) in enumerate(loads):
-        for other, second in loads[:n]:
-            a, b = load.joint, second.joint
-            if a != b and parents[a] != b and parents[b] != a:
-                return push, other
-    return None

@@ -8,85 +8,20 @@ of the sum of both depths and the travel.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from hplan.base.arrays import BoolArray, FloatArray, IntArray, TableArray
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, TableArray, frozen
 from hplan.base.kernels import kernel
 from hplan.certificate.clearance_proof import Advancement, point_at
+from hplan.certificate.segment_contacts import CONTACT, SegmentContacts
 from hplan.collision.coal_boxes import PairBoxes, box_separation, joints_as_pinocchio
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.compiled_placements import place_joints
-from hplan.scene.obstacle_kind import ContactLimit
 
-
-@dataclass(frozen=True)
-class Push:
-    """Contact of a link with a compliant obstacle.
-
-    Attributes:
-        link: Name of the link.
-        obstacle: Name of the obstacle or fruit.
-        depth_m: Upper bound of the deflection, tracking errors included [m].
-        begin_s: No contact before this time [s].
-        end_s: No contact after this time, until the next listed contact of the two [s].
-        force_n: Upper bound of the force on a limb, or on the stalk of a fruit, impact included [N]; None for obstacles
-            without a limb.
-        stress_mpa: Upper bound of the bending stress of the limb by this contact, impact included [MPa]; None as above.
-        load: Details for `hplan.certificate.limb_loads`; None as above, and for merged contacts.
-    """
-
-    link: str
-    obstacle: str
-    depth_m: float
-    begin_s: float
-    end_s: float
-    force_n: float | None = None
-    stress_mpa: float | None = None
-    load: Load | None = field(default=None, repr=False, compare=False)
-
-
-class Load(NamedTuple):
-    """A contact with a part of a limb or with a fruit, within one segment of a motion.
-
-    Attributes:
-        limit: What the deepest permitted contact does.
-        joint: Joint that carries the link.
-        share: Upper bound of the depth as a fraction of the limit's.
-        speed: Upper bound of the speed of the link [m/s], or of that to which a contact of this depth accelerates the
-            limb or fruit, if that is less.
-        whole_depth: Upper bound of the depth in a fruit as it hangs, which is not extended along its stalk [m]; 0 for
-            limbs.
-    """
-
-    limit: ContactLimit
-    joint: int
-    share: float
-    speed: float
-    whole_depth: float = 0.0
-
-    @property
-    def force(self) -> float:
-        """Upper bound of the force [N]."""
-        return self.share * self.limit.force + self.impact
-
-    @property
-    def impact(self) -> float:
-        """The part of the force that the speed adds [N]."""
-        return self.limit.impact * self.speed + self.limit.swing * self.speed**2
-
-    @property
-    def stress(self) -> float:
-        """Upper bound of the static bending stress [Pa]."""
-        return self.share * self.limit.stress
-
-    @property
-    def impact_stress(self) -> float:
-        """Bending stress that the speed adds [Pa]."""
-        return self.limit.impact_stress * self.speed
+#: Shortest time in which a speed is measured [s].
+_TINY_S: Final = 1e-9
 
 
 def pushes_along(
@@ -98,7 +33,7 @@ def pushes_along(
     clock: FloatArray | None,
     *,
     proved: bool,
-) -> Iterator[Push]:
+) -> SegmentContacts:
     """Bound the deflection of compliant obstacles within each segment of a motion.
 
     Args:
@@ -110,41 +45,34 @@ def pushes_along(
         clock: (pieces + 1,) times of the samples on the clock of the tracks [s]; required if obstacles move.
         proved: True if the allowed deflection of every pair is certified; it then caps the bound.
 
-    Yields:
-        A contact for each segment and pair that may touch in it.
+    Returns:
+        A contact for each segment and pair that may touch in it, in order of time.
     """
     pairs = checker.compliant_pairs
     if not len(pairs):
-        return
+        return SegmentContacts.none()
     search, rows = Advancement(bezier, checker, deviations, clearance, clock), len(bezier)
     (sway, travel), mover_of = search.movers, search.mover_of[pairs]
-    nearer = np.broadcast_to(sway, travel.shape)
+    movers = _Movers(travel, np.ascontiguousarray(np.broadcast_to(sway, travel.shape)))
     asked, may_touch = _possible_contacts(
-        bezier, pairs, checker.boxes, joints_as_pinocchio(checker.robot), checker.taken_off[pairs], mover_of,
-        _Movers(travel, np.ascontiguousarray(nearer)),
-    )  # fmt: skip
+        bezier, pairs, checker.boxes, joints_as_pinocchio(checker.robot), checker.taken_off[pairs], mover_of, movers
+    )
     whole = checker.whole_fruit_pairs(pairs)
-    distances, from_whole = np.full((2, rows + 1, len(pairs)), math.inf)
-    free_until = np.zeros(len(pairs), dtype=np.int64)
-    for row in np.flatnonzero(asked.any(axis=1)).tolist():
-        near = np.flatnonzero(asked[row] & (free_until <= row))
-        if not len(near):
-            continue
+    errors = np.stack([checker.distance_errors[pairs], np.where(whole >= 0, checker.distance_errors[whole], 0.0)])
+    queries = _Queries(
+        asked, mover_of, movers, pairs, whole, checker.taken_off[pairs] + errors, np.zeros(len(pairs), dtype=np.int64),
+        np.full((2, rows + 1, len(pairs)), math.inf), np.zeros(len(pairs), dtype=np.int64),
+        np.zeros(2 * len(pairs), dtype=np.int64),
+    )  # fmt: skip
+    row, near, count = _next_query(-1, 0, np.zeros(0), queries)
+    while count:
         search.place(point_at(bezier, float(row)), float(row))
-        distances[row, near] = checker.distances_of(pairs[near]) - checker.distance_errors[pairs[near]]
-        fruit = near[whole[near] >= 0]
-        if len(fruit):
-            from_whole[row, fruit] = checker.whole_fruit_distances(pairs[fruit], whole[fruit])
-        movers = mover_of[near]
-        spare = np.maximum(distances[row, near] - nearer[movers, row], 0.0)
-        far = spare > travel[movers, min(row + 1, rows)] - travel[movers, row]
-        for pair, mover, free in zip(near[far].tolist(), movers[far].tolist(), spare[far].tolist(), strict=True):
-            # A pair that skips samples cannot touch before its next query.
-            free_until[pair] = np.searchsorted(travel[mover], travel[mover, row] + free, side="right") - 1
+        row, near, count = _next_query(row, near, checker.shape_distances(queries.pair[:count]), queries)
+    distances, from_whole = queries.distances
     first, which = np.nonzero(may_touch & (distances[:-1] < math.inf) & (distances[1:] < math.inf))
-    movers = mover_of[which]
-    travelled = travel[movers, first + 1] - travel[movers, first]
-    swayed = np.maximum(nearer[movers, first], nearer[movers, first + 1])
+    of_each = mover_of[which]
+    travelled = travel[of_each, first + 1] - travel[of_each, first]
+    swayed = np.maximum(movers.nearer[of_each, first], movers.nearer[of_each, first + 1])
     depths, in_whole = (
         swayed - 0.5 * (found[first, which] + found[first + 1, which] - travelled) for found in (distances, from_whole)
     )
@@ -152,30 +80,113 @@ def pushes_along(
         allowed = -np.broadcast_to(checker.required_distance(clearance), len(checker.pairs))
         depths = np.minimum(depths, allowed[pairs[which]])
     kept = np.flatnonzero(depths > 0.0)
-    columns = (first, which, depths, np.maximum(0.0, in_whole), travelled + swayed)
-    for row, number, depth, deep, moved in zip(*(column[kept].tolist() for column in columns), strict=True):
-        yield _push_of(checker, int(pairs[number]), (depth, deep), moved, (float(time[row]), float(time[row + 1])))
+    first, moved = first[kept], (travelled + swayed)[kept]
+    return _table_of(
+        checker, pairs[which[kept]], (depths[kept], np.maximum(0.0, in_whole[kept])), moved,
+        (time[first], time[first + 1]),
+    )  # fmt: skip
 
 
-def _push_of(
-    checker: CoalScene, pair: int, depths: tuple[float, float], moved: float, span_s: tuple[float, float]
-) -> Push:
-    """The contact of a pair.
+def _table_of(
+    checker: CoalScene, pairs: IntArray, depths: tuple[FloatArray, FloatArray], moved: FloatArray,
+    span_s: tuple[FloatArray, FloatArray],
+) -> SegmentContacts:  # fmt: skip
+    """The contacts of pairs.
 
     Args:
         checker: The arm among the obstacles.
-        pair: Number of the pair.
-        depths: Upper bounds of the deflection, and of the depth in a whole fruit [m].
-        moved: Upper bound of the link's travel within the time [m].
-        span_s: Begin and end [s].
+        pairs: (k,) numbers of the pairs.
+        depths: (k,) upper bounds of the deflection, and of the depth in a whole fruit [m].
+        moved: (k,) upper bound of the link's travel within the time [m].
+        span_s: (k,) begin and end [s].
     """
-    (mover, other), (depth, whole_depth) = checker.pairs[pair], depths
-    names, limit = (checker.mover_names[mover], checker.obstacle_names[other]), checker.contact_limits[other]
-    if limit is None or limit.depth <= 0.0:
-        return Push(*names, depth, *span_s)
-    speed = min(moved / max(span_s[1] - span_s[0], _TINY_S), limit.rate * depth)
-    load = Load(limit, checker.joint_of(pair), depth / limit.depth, speed, whole_depth)
-    return Push(*names, depth, *span_s, load.force, 1e-6 * (load.stress + load.impact_stress), load)
+    rows, (begin_s, end_s) = np.zeros(len(pairs), CONTACT), span_s
+    rows["depth"], rows["whole_depth"] = depths
+    rows["begin_s"], rows["end_s"] = begin_s, end_s
+    used, of_each = np.unique(pairs, return_inverse=True)
+    known = np.array([
+        (*checker.pairs[pair], limit.depth, limit.rate, checker.joint_of(pair))
+        if limit is not None and limit.depth > 0.0 else (*checker.pairs[pair], 0.0, 0.0, 0)
+        for pair in used.tolist() for limit in [checker.contact_limits[checker.pairs[pair][1]]]
+    ], dtype=np.float64).reshape(-1, 5)[of_each]  # fmt: skip
+    most, rate = known[:, 2], known[:, 3]
+    rows["link"], rows["obstacle"], rows["joint"] = known[:, 0], known[:, 1], known[:, 4]
+    rows["limit"] = np.where(most > 0.0, rows["obstacle"], -1)
+    rows["share"] = np.divide(depths[0], most, out=np.zeros(len(rows)), where=most > 0.0)
+    rows["speed"] = np.minimum(moved / np.maximum(end_s - begin_s, _TINY_S), rate * depths[0])
+    return SegmentContacts(frozen(rows), checker.mover_names, checker.obstacle_names, checker.contact_limits)
+
+
+class _Queries(NamedTuple):
+    """Distance queries along a motion.
+
+    Attributes:
+        asked: (rows + 1, k) True where a pair's distance is required.
+        mover_of: (k,) moving body of each pair.
+        movers: The moving bodies.
+        pairs: (k,) numbers of the pairs.
+        whole: (k,) those with the whole fruit; -1 for others.
+        offsets: (2, k) subtracted from the distances of both [m].
+        free_until: (k,) sample until which each pair cannot touch.
+        distances: (2, rows + 1, k) lower bounds of the distances of both; infinite where there was no query [m].
+        near: Buffer for the pairs of a query, by their places.
+        pair: Buffer for their numbers; those with the whole fruit follow.
+    """
+
+    asked: BoolArray
+    mover_of: IntArray
+    movers: _Movers
+    pairs: IntArray
+    whole: IntArray
+    offsets: FloatArray
+    free_until: IntArray
+    distances: FloatArray
+    near: IntArray
+    pair: IntArray
+
+
+@kernel
+def _next_query(row: int, near: int, found: FloatArray, queries: _Queries) -> tuple[int, int, int]:
+    """Record distances of shapes, and find the next sample with a query.
+
+    A pair that skips samples cannot touch before its next query.
+
+    Args:
+        row: Sample of the last query; -1 before the first one.
+        near: Number of its pairs.
+        found: (count,) the distances [m].
+        queries: The queries.
+
+    Returns:
+        Sample of the next query, number of its pairs, and of the distances; none after the last one.
+    """
+    asked, free_until, rows = queries.asked, queries.free_until, len(queries.asked) - 1
+    numbers, pair, extra = queries.near, queries.pair, near
+    for i in range(near):
+        k = numbers[i]
+        distance = found[i] - queries.offsets[0, k]
+        queries.distances[0, row, k] = distance
+        if queries.whole[k] >= 0:
+            queries.distances[1, row, k] = found[extra] - queries.offsets[1, k]
+            extra += 1
+        travel = queries.movers.travel[queries.mover_of[k]]
+        spare = max(distance - queries.movers.nearer[queries.mover_of[k], row], 0.0)
+        if spare > travel[min(row + 1, rows)] - travel[row]:
+            free_until[k] = np.searchsorted(travel, travel[row] + spare, side="right") - 1
+    for following in range(row + 1, rows + 1):
+        near = 0
+        for k in range(len(free_until)):
+            if asked[following, k] and free_until[k] <= following:
+                numbers[near], pair[near] = k, queries.pairs[k]
+                near += 1
+        if near > 0:
+            count = near
+            for i in range(near):
+                if queries.whole[numbers[i]] >= 0:
+                    pair[count] = queries.whole[numbers[i]]
+                    count += 1
+            return following, near, count
+    return rows, 0, 0
 
 
 class _Movers(NamedTuple):
@@ -229,32 +240,3 @@ def _possible_contacts(
                     may_touch[row, i] = asked[row, i] = asked[following, i] = True
             row, bound = following, after
     return asked, may_touch
-
-
-#: Shortest time in which a speed is measured [s].
-_TINY_S = 1e-9
-
-
-def _larger(one: float | None, other: float | None) -> float | None:
-    """The larger of two values that may be missing."""
-    known = [value for value in (one, other) if value is not None]
-    return max(known, default=None)
-
-
-def merge_contacts(found: Iterable[Push]) -> tuple[Push, ...]:
-    """Merge contacts of a link and obstacle without a gap between.
-
-    The result is sorted by start time.
-    """
-    whole: list[Push] = []
-    for push in sorted(found, key=lambda push: (push.link, push.obstacle, push.begin_s)):
-        last = whole[-1] if whole else push
-        same = whole and (last.link, last.obstacle) == (push.link, push.obstacle)
-        if same and push.begin_s <= last.end_s:
-            whole[-1] = replace(
-                last, depth_m=max(last.depth_m, push.depth_m), end_s=max(last.end_s, push.end_s),
-                force_n=_larger(last.force_n, push.force_n), stress_mpa=_larger(last.stress_mpa, push.stress_mpa),
-            )  # fmt: skip
-        else:
-            whole.append(replace(push, load=None))
-    return tuple(sorted(whole, key=lambda push: push.begin_s))

@@ -292,7 +292,8 @@ class CoalScene:
         _ = self.obstacle_balls, self.distance_errors, self.boxes
         other = object.__new__(CoalScene)
         vars(other).update(vars(self))
-        vars(other).pop("required_distances", None)
+        for name_of_cached in ("required_distances", "meeting_pairs"):
+            vars(other).pop(name_of_cached, None)
         other._touched = (*self._touched, (name, tuple(hangs_from)))
         if hangs_from:
             links, hanging = self._built["yield_links"], {each for _, names in other._touched for each in names}
@@ -385,18 +386,18 @@ class CoalScene:
         """For each obstacle what the deepest permitted contact does, if it is a part of a limb or a hanging fruit."""
         return [obstacle.contact_limit for obstacle in self._built["obstacles"]]
 
-    @property
+    @cached_property
     def has_limbs(self) -> bool:
         """True if an obstacle is a part of a limb or a hanging fruit that a link may push."""
         return any(limit is not None and limit.depth > 0.0 for limit in self.contact_limits)
 
     @property
-    def fruit_limits(self) -> Sequence[tuple[FloatArray, ContactLimit]]:
-        """Centres [m] and contact limits of the hanging fruit that the last link may touch."""
+    def fruit_limits(self) -> Sequence[tuple[str, FloatArray, ContactLimit]]:
+        """Names, centres [m] and contact limits of the hanging fruit that the last link may touch."""
         touched = {name for name, _ in self._touched}
         solids = [solid for solid in self._built["obstacles"] if solid.name in touched] if touched else []
-        limits = [(solid.core.mean(axis=0), solid.contact_limit) for solid in solids]
-        return [(center, limit) for center, limit in limits if limit is not None and limit.swing > 0.0]
+        limits = [(solid.name, solid.core.mean(axis=0), solid.contact_limit) for solid in solids]
+        return [(name, center, limit) for name, center, limit in limits if limit is not None and limit.swing > 0.0]
 
     def joint_of(self, pair: int) -> int:
         """Pinocchio's number of the joint that carries the moving body of a pair with an obstacle."""
@@ -486,6 +487,10 @@ class CoalScene:
         """
         return self._geometry.distances_of(pairs) - self._taken_off[pairs]
 
+    def shape_distances(self, pairs: IntArray) -> FloatArray:
+        """Signed distances of the shapes of some `pairs` at the last placement, nothing subtracted, (k,) [m]."""
+        return self._geometry.distances_of(pairs)
+
     def whole_fruit_pairs(self, pairs: IntArray) -> IntArray:
         """For `pairs` with a hanging fruit those with the whole fruit, (k,); -1 for others.
 
@@ -501,15 +506,6 @@ class CoalScene:
         limits = zip(self.obstacle_names[: self.own_first], self.contact_limits, strict=True)
         found = [-1 if limit is None or limit.swing == 0.0 else whole.get(name, -1) for name, limit in limits]
         return np.array(found, dtype=np.int64)
-
-    def whole_fruit_distances(self, pairs: IntArray, whole: IntArray) -> FloatArray:
-        """Lower bounds of signed distances from whole fruit at the last placement, (k,) [m].
-
-        Args:
-            pairs: Pairs with the fruit that are pushed, whose position errors count.
-            whole: Those with the whole fruit, as from `whole_fruit_pairs`.
-        """
-        return self._geometry.distances_of(whole) - self._taken_off[pairs] - self.distance_errors[whole]
 
     @cached_property
     def boxes(self) -> PairBoxes:
@@ -539,6 +535,11 @@ class CoalScene:
         """
         return self._taken_off
 
+    @cached_property
+    def meeting_pairs(self) -> IntArray:
+        """Indices of the `pairs` that keep a distance; the others may touch."""
+        return np.flatnonzero(self._taken_off > -np.inf)
+
     def nearest_pair(self, q: FloatArray, kept: FloatArray, time_s: float | None = None) -> tuple[int, float]:
         """Pair with the minimum distance beyond its required one.
 
@@ -551,13 +552,14 @@ class CoalScene:
             pair = ties.argmin(found - kept)
             return pair, float(found[pair])
         self.place(q, time_s)
-        bounds = self.lower_bounds(q, np.arange(len(kept))) - kept
+        pairs = self.meeting_pairs if len(self.meeting_pairs) > first_asked else np.arange(len(kept))
+        bounds, kept = self.lower_bounds(q, pairs) - kept[pairs], kept[pairs]
         first = np.sort(np.argpartition(bounds, first_asked)[:first_asked])
-        least = (self.distances_of(first) - kept[first]).min()
+        least = (self.distances_of(pairs[first]) - kept[first]).min()
         asked = np.flatnonzero(bounds <= least + ties.RASTER)
-        found = self.distances_of(asked)
+        found = self.distances_of(pairs[asked])
         place = ties.argmin(found - kept[asked])
-        return int(asked[place]), float(found[place])
+        return int(pairs[asked[place]]), float(found[place])
 
     def contact(self, mover: int, obstacle: int, distance: float) -> Contact:
         """Contact from indices in `mover_names` and `obstacle_names`, and a distance [m]."""

@@ -21,7 +21,7 @@ from hplan.errors import HplanError
 if TYPE_CHECKING:
     from hplan.base.deadline import TimeLimit
     from hplan.certificate.certificate import Certificate
-    from hplan.certificate.pushes import Push
+    from hplan.certificate.segment_contacts import Push
     from hplan.certificate.touch_risk import TouchRisk
     from hplan.planning.options import PlanOptions
     from hplan.robot.model import Robot
@@ -138,8 +138,7 @@ def pushes_report(certificate: Certificate, scene: Scene) -> dict[str, Any]:
 
 def push_report(push: Push) -> dict[str, Any]:
     """A contact as in the report; force and stress only for limbs and fruit on them."""
-    found = {key: value for key, value in vars(push).items() if key != "load"}
-    return {key: value for key, value in found.items() if value is not None}
+    return {key: value for key, value in vars(push).items() if value is not None}
 
 
 def assumptions_report(robot: Robot) -> dict[str, list[str]]:

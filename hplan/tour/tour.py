@@ -302,22 +302,28 @@ class TourPlanner:
     def run(self, names: Sequence[str]) -> TourResult:
         """Plan the tour over the named fruits.
 
-        Fruits that are blocked are tried again without the fruits picked before.
+        Limbs that bend count as rigid first: motions that touch nothing need not be slowed down for impacts. Fruits
+        that are blocked are tried again among limbs that bend, and without the fruits picked before.
         """
         motions, scene, stages = self._whole, self.scene, list[_Stage]()
-        left, unreached = names, list[Unreached]()
+        left, unreached, is_firm = names, list[Unreached](), scene.wood is not None
+        if scene.wood is not None:
+            motions = self._motions(scene.copy_unchecked({"wood": scene.wood.as_rigid}), Stop(self.start))
         while left:
             fruits = {fruit.name: fruit for fruit in scene.fruits}
             stage = self._stage(motions, [fruits[name] for name in left])
             unreached = [item for item in unreached if item.fruit not in left] + stage.unreached
-            if not math.isfinite(stage.visits.cost) or not motions.fruits:
+            is_found = math.isfinite(stage.visits.cost) and len(motions.fruits) > 0
+            if not (is_found or is_firm):
                 break
-            stages.append(stage)
-            gone = set(motions.fruits)
-            scene = scene.copy_unchecked({"fruits": tuple(f for f in scene.fruits if f.name not in gone)})
             left = [item.fruit for item in stage.unreached if not isinstance(item.error, UnreachableError)]
+            if is_found:
+                stages.append(stage)
+                gone = set(motions.fruits)
+                scene = scene.copy_unchecked({"fruits": tuple(f for f in scene.fruits if f.name not in gone)})
             if left:
-                motions = self._motions(scene, motions.end(stage.visits))
+                motions = self._motions(scene, motions.end(stage.visits)) if is_found else self._whole
+            is_firm = False
         if not stages:
             raise TourError([(item.fruit, item.error) for item in unreached])
         return self._result(stages, unreached)

@@ -25,7 +25,7 @@ from hplan.apps.execution.simulated_arm import Plant, import_mujoco
 from hplan.apps.execution.simulation import execute, picks_in
 from hplan.apps.execution.tree_response import TreeMonitor
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
-from hplan.certificate.pushes import Load
+from hplan.certificate.segment_contacts import CONTACT, SegmentContacts
 from hplan.collision.compliant_solids import LIMB_SHARE
 from hplan.errors import InputError
 from hplan.planning.options import PlanOptions
@@ -288,45 +288,36 @@ def _moving(config: StudyConfig, push: TreePush) -> Row | None:
     found = next((drawn for _ in range(ATTEMPTS) if (drawn := _draw(random, tree)) is not None), None)
     if found is None:
         return None
-    body, loads = found
-    wood = tree.scene.wood or Wood()
+    body, pushed = found
+    wood, loads, bent = tree.scene.wood or Wood(), pushed.loads, pushed.stresses
     modulus_gpa = float(random.uniform(*wood.youngs_modulus_gpa))
     fruits = tree.scene.fruits if config.values.get("fruit", (1,))[0] else ()
-    monitor = _simulate(tree, body, {load.limit.segment for load in loads}, modulus_gpa, fruits)
+    monitor = _simulate(tree, body, set(loads.segment.tolist()), modulus_gpa, fruits)
     forces: dict[str, float] = defaultdict(float)
-    of_roots: dict[int, list[Load]] = defaultdict(list)
-    for load in loads:
-        name = tree.limbs.names[load.limit.segment]
-        forces[name] = max(forces[name], load.force)
-        of_roots[load.limit.root].append(load)
+    for segment, force in zip(loads.segment.tolist(), loads.force.tolist(), strict=True):
+        name = tree.limbs.names[segment]
+        forces[name] = max(forces[name], force)
     contacts = monitor.response({}).contacts
     force_ratio = max((one.force_n / forces[one.limb] for one in contacts if one.limb in forces), default=0.0)
     roots = tree.limbs.roots()
-    stresses = {root: float(monitor.max_stress_pa[roots == root].max()) for root in of_roots}
-    bounds = {root: combined_stress(some) for root, some in of_roots.items()}
-    stress_ratio = max(stresses[root] / bounds[root] for root in of_roots)
+    stresses = np.array([
+        monitor.max_stress_pa[roots == root].max() for root in loads.root[bent.order[bent.first]].tolist()
+    ])  # fmt: skip
+    stress_ratio = float((stresses / bent.stress).max())
     return {
         "name": push.name, "tree": push.tree.stem, "touched": any(one.limb in forces for one in contacts),
         "force_ratio": force_ratio, "stress_ratio": stress_ratio,
         "force_n": max((one.force_n for one in contacts if one.limb in forces), default=0.0),
-        "force_bound_n": max(forces.values()), "static_n": max(load.share * load.limit.force for load in loads),
-        "stress_mpa": 1e-6 * max(stresses.values()), "stress_bound_mpa": 1e-6 * max(bounds.values()),
+        "force_bound_n": max(forces.values()), "static_n": float(loads.static.max()),
+        "stress_mpa": 1e-6 * float(stresses.max()), "stress_bound_mpa": 1e-6 * float(bent.stress.max()),
         # Limbs that moved into the body although it did not enter their place at rest.
         "other_force_n": max((one.force_n for one in contacts if one.limb not in forces), default=0.0),
-        "speed_m_s": max(load.speed for load in loads), "modulus_gpa": modulus_gpa, "limbs": len(forces),
+        "speed_m_s": float(pushed.rows["speed"].max()), "modulus_gpa": modulus_gpa, "limbs": len(forces),
         "fault": force_ratio > 1.0 or stress_ratio > 1.0,
     }  # fmt: skip
 
 
-def combined_stress(loads: Sequence[Load]) -> float:
-    """Bound of the bending stress by simultaneous contacts on limbs with one root [Pa]."""
-    of_segment: dict[int, float] = defaultdict(float)
-    for load in loads:
-        of_segment[load.limit.segment] = max(of_segment[load.limit.segment], load.stress)
-    return sum(of_segment.values()) + max(load.impact_stress for load in loads)
-
-
-def _draw(random: np.random.Generator, tree: _Scene) -> tuple[_Body, list[Load]] | None:
+def _draw(random: np.random.Generator, tree: _Scene) -> tuple[_Body, SegmentContacts] | None:
     """A motion of a body against a random limb, and its contacts; None if it is deeper than permitted anywhere."""
     limbs, target = tree.limbs, int(random.choice(tree.targets[int(random.integers(len(tree.targets)))]))
     limit = tree.limits[target]
@@ -352,12 +343,13 @@ def _draw(random: np.random.Generator, tree: _Scene) -> tuple[_Body, list[Load]]
     most = depths.max(axis=0)
     if (most > permitted).any() or depths[0].max() > -BEFORE_M:
         return None
-    loads = []
-    for row, number in enumerate(rows.tolist()):
-        if most[row] > 0.0:
-            fastest = float(body.speed[depths[:, row] > -BEFORE_M].max())
-            loads.append(Load(tree.limits[number], 0, float(most[row] / tree.depth[number]), fastest))
-    return (body, loads) if loads else None
+    touched = np.flatnonzero(most > 0.0)
+    if not len(touched):
+        return None
+    limits, contacts = [tree.limits[number] for number in rows[touched].tolist()], np.zeros(len(touched), CONTACT)
+    contacts["limit"], contacts["share"] = np.arange(len(touched)), most[touched] / tree.depth[rows[touched]]
+    contacts["speed"] = [float(body.speed[depths[:, row] > -BEFORE_M].max()) for row in touched.tolist()]
+    return body, SegmentContacts(contacts, ("body",), ("limb",), limits)
 
 
 def _across(random: np.random.Generator, axis: FloatArray) -> FloatArray:

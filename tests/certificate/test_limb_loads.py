@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from itertools import product
 
 import coal
@@ -24,7 +23,7 @@ from hplan.certificate.limb_loads import (
     load_violations,
     shared_limb_violations,
 )
-from hplan.certificate.pushes import Load, Push
+from hplan.certificate.segment_contacts import CONTACT, SegmentContacts
 from hplan.collision.coal_arm import arm_parts
 from hplan.collision.compliant_solids import pushing_links
 from hplan.planning.result import PlanResult
@@ -128,26 +127,26 @@ def test_certificate_of_the_file_is_that_of_the_plan(robot: Robot, plans: list[P
 
 def test_depths_in_whole_fruit_are_below_their_bounds(robot: Robot, plans: list[PlanResult]) -> None:
     result = plans[-1]
-    pushes = result.certificate.pushes_by_segment
+    contacts = result.certificate.pushes_by_segment
     fruits = {fruit.name: fruit for fruit in result.scene.fruits}
     links, model, data = arm_parts(robot, 0.0, 0.0).links, robot.model, robot.model.createData()
     seen = extended = 0
-    for push in pushes:
-        if push.load is None or push.obstacle not in fruits:
+    for number, push in enumerate(contacts.rows):
+        if push["limit"] < 0 or contacts.obstacle(number) not in fruits:
             continue
-        fruit, deepest = fruits[push.obstacle], 0.0
-        for q in result.trajectory.positions(np.linspace(push.begin_s, push.end_s, 5)):
+        fruit, deepest = fruits[contacts.obstacle(number)], 0.0
+        for q in result.trajectory.positions(np.linspace(push["begin_s"], push["end_s"], 5)):
             pin.forwardKinematics(model, data, q)
-            for shape in links[push.link]:
+            for shape in links[contacts.link(number)]:
                 place = data.oMi[shape.parentJoint] * shape.placement
                 at = coal.Transform3s(place.rotation, place.translation)
                 ball, there = coal.Sphere(fruit.radius), coal.Transform3s(np.eye(3), np.array(fruit.center))
                 request, found = coal.DistanceRequest(), coal.DistanceResult()
                 deepest = max(deepest, -coal.distance(shape.geometry, at, ball, there, request, found))
-        assert deepest <= push.load.whole_depth + 1e-9
-        assert push.load.whole_depth <= push.depth_m + 2e-3
+        assert deepest <= push["whole_depth"] + 1e-9
+        assert push["whole_depth"] <= push["depth"] + 2e-3
         seen += deepest > 0.0
-        extended += push.load.whole_depth < 0.8 * push.depth_m
+        extended += push["whole_depth"] < 0.8 * push["depth"]
     assert seen >= 5
     assert extended >= 5
 
@@ -176,51 +175,73 @@ def test_smaller_limits_refuse_the_motion(robot: Robot, plans: list[PlanResult])
     assert not found.verified
 
 
-def push_of(share: float, speed: float, link: str = "tool0", joint: int = 4, **changes: float) -> Push:
-    load = Load(LIMIT._replace(**changes), joint, share, speed)
-    return Push(link, "branch 1", 0.02 * share, 1.0, 1.1, load.force, 1e-6 * load.stress, load)
+def contacts_of(
+    *limits: ContactLimit,
+    share: float = 1.0,
+    speed: float = 0.0,
+    link: str = "tool0",
+    joint: int = 4,
+    span_s: tuple[float, float] = (1.0, 1.1),
+    name: str = "branch 1",
+    whole_depth: float = 0.0,
+) -> SegmentContacts:
+    """A contact with each of some limbs or fruit."""
+    rows = np.zeros(len(limits), CONTACT)
+    rows["limit"], rows["joint"], rows["share"], rows["speed"] = np.arange(len(limits)), joint, share, speed
+    rows["depth"] = [share * limit.depth for limit in limits]
+    rows["begin_s"], rows["end_s"] = span_s
+    rows["whole_depth"] = whole_depth
+    return SegmentContacts(rows, (link,), (name,), limits)
+
+
+def push_of(share: float, speed: float, link: str = "tool0", joint: int = 4, **changes: float) -> SegmentContacts:
+    return contacts_of(LIMIT._replace(**changes), share=share, speed=speed, link=link, joint=joint)
+
+
+def violations(robot: Robot, *contacts: SegmentContacts) -> list[str]:
+    return list(load_violations(robot, SegmentContacts.join(contacts)))
 
 
 def test_an_impact_counts(robot: Robot) -> None:
-    assert not list(load_violations(robot, [push_of(1.0, 0.9)]))  # 6 + 3.6 N
-    (found,) = load_violations(robot, [push_of(1.0, 1.2)])
+    assert not violations(robot, push_of(1.0, 0.9))  # 6 + 3.6 N
+    (found,) = violations(robot, push_of(1.0, 1.2))
     assert "exerts up to 10.8 N on 'branch 1', 4.8 N of it by its speed" in found
 
 
 def test_slower_motions_keep_the_limits() -> None:
-    assert gentle_speeds([push_of(1.0, 0.9)], 2.0, 0.1) is None
-    speeds = gentle_speeds([push_of(1.0, 2.0)], 2.0, 0.1)
+    assert gentle_speeds(push_of(1.0, 0.9), 2.0, 0.1) is None
+    speeds = gentle_speeds(push_of(1.0, 2.0), 2.0, 0.1)
     assert speeds is not None
     factor = speeds[np.abs(speeds[:, 0] - 1.05).argmin(), 1]
     assert factor == pytest.approx(0.93 * 0.5)
     assert speeds[0, 1] == speeds[-1, 1] == 1.0
-    assert gentle_speeds([push_of(1.0, 60.0)], 2.0, 0.1) is None
+    assert gentle_speeds(push_of(1.0, 60.0), 2.0, 0.1) is None
 
 
 def test_stresses_of_different_limbs_add_up(robot: Robot) -> None:
     pushes = [push_of(1.0, 0.0, segment=number) for number in range(4)]
-    assert not list(load_violations(robot, pushes[:3]))
-    (found,) = load_violations(robot, pushes)
+    assert not violations(robot, *pushes[:3])
+    (found,) = violations(robot, *pushes)
     assert "40 MPa" in found
     # Contacts with one segment are one load, and limbs with another root are separate.
-    assert not list(load_violations(robot, pushes[:1] * 4))
+    assert not violations(robot, *pushes[:1] * 4)
     others = [push_of(1.0, 0.0, segment=number, root=number) for number in range(4)]
-    assert not list(load_violations(robot, others))
+    assert not violations(robot, *others)
 
 
 def test_links_that_share_no_joint_may_squeeze_a_limb(robot: Robot) -> None:
     neighbours = [push_of(0.2, 0.0), push_of(0.2, 0.0, "forearm", 3)]
-    assert not list(load_violations(robot, neighbours))
-    (found,) = load_violations(robot, [push_of(0.2, 0.0), push_of(0.2, 0.0, "upper_arm", 2)])
+    assert not violations(robot, *neighbours)
+    (found,) = violations(robot, push_of(0.2, 0.0), push_of(0.2, 0.0, "upper_arm", 2))
     assert "from two sides" in found
-    later = replace(push_of(0.2, 0.0, "upper_arm", 2), begin_s=1.2, end_s=1.3)
-    assert not list(load_violations(robot, [push_of(0.2, 0.0), later]))
+    later = push_of(0.2, 0.0, "upper_arm", 2).shift(0.2)
+    assert not violations(robot, push_of(0.2, 0.0), later)
 
 
 def test_two_arms_do_not_push_one_limb() -> None:
     one, other = push_of(0.2, 0.0), push_of(0.2, 0.0, root=5)
-    assert not list(shared_limb_violations({"left": [one], "right": [other]}))
-    (found,) = shared_limb_violations({"left": [one], "right": [one]})
+    assert not list(shared_limb_violations({"left": one, "right": other}))
+    (found,) = shared_limb_violations({"left": one, "right": one})
     assert found.startswith("'left' and 'right' push")
 
 
@@ -237,15 +258,15 @@ def test_the_goal_moves_with_its_limb() -> None:
     apple, tip = limits["apple"], limits["twig"]
     assert apple is not None
     assert tip is not None
-    push = Push("tool0", "twig", tip.depth, 1.0, 1.1, 1.0, 1.0, Load(tip, 4, 1.0, 0.0))
-    moved = displacement_at([push], Grasp(apple, 1.05, 1.05))
+    push = contacts_of(tip, name="twig")
+    moved = displacement_at(push, Grasp("apple", apple, 1.05, 1.05))
     # The fruit hangs a little before the tip, which is displaced by at most the depth and the part's own share.
     assert 0.6 * tip.depth < moved < 1.3 * tip.depth
-    assert displacement_at([push], Grasp(apple, 2.0, 2.0)) == 0.0
+    assert displacement_at(push, Grasp("apple", apple, 2.0, 2.0)) == 0.0
     # It swings as far beyond, and farther when the limb is released; then it comes to rest.
-    assert swing_at([push], Grasp(apple, 0.9, 0.9)) == 0.0
-    assert swing_at([push], Grasp(apple, 1.05, 1.05)) == pytest.approx(moved)
-    later = [swing_at([push], Grasp(apple, time_s, time_s)) for time_s in (1.2, 2.0, 20.0)]
+    assert swing_at(push, Grasp("apple", apple, 0.9, 0.9)) == 0.0
+    assert swing_at(push, Grasp("apple", apple, 1.05, 1.05)) == pytest.approx(moved)
+    later = [swing_at(push, Grasp("apple", apple, time_s, time_s)) for time_s in (1.2, 2.0, 20.0)]
     assert 2.0 * moved > later[0] > later[1] > 0.0
     assert later[2] < 1e-3
 
@@ -287,19 +308,18 @@ def test_the_push_of_a_fruit_counts_until_its_grasp() -> None:
     apple = hanging_apple()
     point = apple.displacement
     assert point is not None
-    load = Load(apple, 4, 0.5, 0.3, whole_depth=0.01)
-    push = Push("hand", "apple", 0.5 * apple.depth, 1.0, 1.1, 1.0, 1.0, load)
+    push = contacts_of(apple, share=0.5, speed=0.3, name="apple", whole_depth=0.01)
     moved = point.displacement_by_push(0.5 * apple.force, 0.01)
-    assert displacement_at([push], Grasp(apple, 1.1, 3.0)) == pytest.approx(moved)
-    assert displacement_at([push], Grasp(apple, 1.2, 3.0)) == 0.0
+    assert displacement_at(push, Grasp("apple", apple, 1.1, 3.0)) == pytest.approx(moved)
+    assert displacement_at(push, Grasp("apple", apple, 1.2, 3.0)) == 0.0
     # A fruit that was released swings by as much and is thrown ahead, then comes to rest.
     thrown = 2.0 * 0.3 * 0.05 / apple.decay_rate
-    assert swing_at([push], Grasp(apple, 1.1, 3.0)) == pytest.approx(moved + thrown)
+    assert swing_at(push, Grasp("apple", apple, 1.1, 3.0)) == pytest.approx(moved + thrown)
     later = math.exp(-2.0 * apple.decay_rate) * (2.0 * moved + thrown)
-    assert swing_at([push], Grasp(apple, 2.0, 3.1)) == pytest.approx(later)
+    assert swing_at(push, Grasp("apple", apple, 2.0, 3.1)) == pytest.approx(later)
     # Nothing of that depends on the hand being above the fruit, within the extended part only.
-    above = replace(push, load=load._replace(whole_depth=0.0))
-    assert displacement_at([above], Grasp(apple, 1.1, 3.0)) == 0.0
+    above = contacts_of(apple, share=0.5, speed=0.3, name="apple")
+    assert displacement_at(above, Grasp("apple", apple, 1.1, 3.0)) == 0.0
 
 
 def test_what_one_part_does_counts_for_a_later_grasp(plans: list[PlanResult]) -> None:
@@ -326,13 +346,13 @@ def test_the_goal_moves_with_other_fruit_on_its_limb() -> None:
     far, near = limits["far"], limits["near"]
     assert far is not None
     assert near is not None
-    push = Push("tool0", "near", near.depth, 1.0, 1.1, 1.0, 1.0, Load(near, 4, 1.0, 0.0))
-    moved = displacement_at([push], Grasp(far, 1.05, 1.05))
+    push = contacts_of(near, name="near")
+    moved = displacement_at(push, Grasp("far", far, 1.05, 1.05))
     # Pulled along its stalk, the twig follows the fruit; farther out it moves more.
     assert near.depth < moved < 3.0 * near.depth
     # Half as deep, it moves half as far.
-    half = replace(push, depth_m=0.5 * near.depth, load=Load(near, 4, 0.5, 0.0))
-    assert displacement_at([half], Grasp(far, 1.05, 1.05)) == pytest.approx(0.5 * moved)
+    half = contacts_of(near, share=0.5, name="near")
+    assert displacement_at(half, Grasp("far", far, 1.05, 1.05)) == pytest.approx(0.5 * moved)
 
 
 def test_limits_refuse_no_motion_that_touches_nothing(robot: Robot) -> None:

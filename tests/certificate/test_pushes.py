@@ -53,9 +53,11 @@ def test_contacts_are_those_of_all_distances(seed: int, deviation: float) -> Non
     for row, number in zip(*np.nonzero(depths > 1e-9), strict=True):  # a distance that excludes a contact may say 0
         mover, other = scene.pairs[int(pairs[number])]
         expected[scene.mover_names[mover], scene.obstacle_names[other], int(row)].append(float(depths[row, number]))
-    for push in pushes_along(bezier, time, scene, deviations, 0.0, None, proved=False):
-        if push.depth_m > 1e-9:
-            found[push.link, push.obstacle, int(np.searchsorted(time, push.begin_s))].append(push.depth_m)
+    contacts = pushes_along(bezier, time, scene, deviations, 0.0, None, proved=False)
+    for number, push in enumerate(contacts.rows):
+        if push["depth"] > 1e-9:
+            key = contacts.link(number), contacts.obstacle(number), int(np.searchsorted(time, push["begin_s"]))
+            found[key].append(float(push["depth"]))
     assert found.keys() == expected.keys()
     assert found
     for key, known in expected.items():

@@ -22,6 +22,7 @@ from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box
 from hplan.scene.orchard import MeasuredOptions, measured_orchard
 from hplan.tour.row import BaseStop, RowOptions, RowResult, cover, plan_row, reach_in_turn, within_reach
+from hplan.tour.tour import plan_tour
 
 QUICK = hplan.PlanOptions(effort="quick")
 COARSE = RowOptions(distance=1.2, step=0.8)
@@ -222,9 +223,20 @@ def test_command(scene: Scene, row: RowResult, tmp_path: Path) -> None:
 
 
 def test_row_among_limbs_keeps_the_limits(arm: Robot, scene: Scene) -> None:
-    bending = with_limbs(scene, Wood(contact_force=6.0, wood_stress_mpa=20.0))
+    # With this clearance not every fruit is picked without pushing.
+    bending = with_limbs(scene, Wood(contact_force=6.0, wood_stress_mpa=20.0)).with_values(clearance=0.03)
     found = plan_row(arm, bending, QUICK, row=replace(COARSE, both=False))
     assert all(stop["verified"] for stop in found.report["stops"])
     assert 0.0 < found.report["max_force_n"] <= 8.0  # 6 N on limbs, 8 N on stalks
     assert 0.0 < found.report["max_stress_mpa"] <= 20.0
     assert found.report["max_force_n"] == max(stop["max_force_n"] for stop in found.report["stops"])
+
+
+def test_tour_pushes_limbs_only_for_fruit_that_need_it(arm: Robot, scene: Scene) -> None:
+    limbs = with_limbs(scene)
+    assert limbs.wood is not None
+    bending, rigid = (plan_tour(arm, each, QUICK) for each in (limbs, limbs.with_values(wood=limbs.wood.as_rigid)))
+    assert bending.certificate.verified
+    assert bending.order == rigid.order
+    assert bending.duration == rigid.duration
+    assert not bending.certificate.pushes

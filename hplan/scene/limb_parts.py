@@ -5,16 +5,18 @@ own that pushing links may enter up to a depth; all other links meet the whole s
 
 **Depth from force.** A contact with the normal :math:`n` that displaces the limb by :math:`\delta` along :math:`n`
 exerts the force :math:`\delta / (n^\top C n)` (`hplan.scene.limbs`). Let the axis :math:`a` of a part be extended by
-:math:`\epsilon` at both ends. A convex body that is at most :math:`\delta` deep in the extended part is separated from
-the limb by a displacement of at most :math:`\delta - \epsilon |n \cdot a|` along some :math:`n`. As
-:math:`|n \cdot a| \ge (n \cdot a)^2`, the force is at most :math:`F` for every normal if
+:math:`l \delta` at both ends. A convex body that is at most :math:`\delta` deep in the extended part is separated from
+the limb by a displacement of at most :math:`\delta (1 - l |n \cdot a|)` along some :math:`n`. That factor is at most
+:math:`1 - \max(l, l^2) (n \cdot a)^2` or, if this is negative, zero. So the force is at most :math:`F` for every normal
+if
 
-.. math:: \delta \le \lambda_{min}(F C + \epsilon\, a a^\top).
+.. math:: \delta \le \lambda_{min}(F C + \max(l, l^2)\, \delta\, a a^\top).
 
-So a twig, which is stiff along its axis, is not met head-on. For :math:`\epsilon \le \delta` what is clear of the limb
-is clear of the smaller part, too, unless thin links may not use the whole depth; `hplan.certify` then tries rigid
-limbs, so that limits forbid no motion that touches nothing. Within a part, the tangent of
-:math:`C` bounds it from below, and this eigenvalue is concave in it: the two ends decide.
+So a twig, which is stiff along its axis, is not met head-on; one that bends on a crooked limb is stiffest in another
+direction, and is extended farther. For :math:`l \le 1` what is clear of the limb is clear of the smaller part, too,
+unless thin links may not use the whole depth; `hplan.certify` then tries rigid limbs, so that limits forbid no motion
+that touches nothing. Within a part, the tangent of :math:`C` bounds it from below, and this eigenvalue is concave in
+it: the two ends decide.
 
 The depth is that of the shortest way out. A limb that a deeper body takes along on its other side is bent more: in 1 of
 4,455 simulated pushes (`scripts/benchmark.py wood_moving`) the stress was 1.3 times its bound, at any speed, where the
@@ -55,8 +57,12 @@ _SHORTEST_M: Final = 0.01
 #: Prevents divisions by zero where a limb is clamped.
 TINY: Final = 1e-12
 
-#: Number of extensions that are tried, from none to the depth across the axis.
-_SHARES: Final = 17
+#: Largest extension per depth, and number of extensions that are tried.
+_MOST_EXTENDED: Final = 1.5
+_EXTENSIONS: Final = 25
+
+#: Growth of the depth for which an extension counts as better than a smaller one.
+_WORTH: Final = 1.01
 
 
 class Pushables(NamedTuple):
@@ -184,18 +190,16 @@ def hanging_fruits(fruits: Sequence[Fruit], limbs: Limbs, wood: Wood) -> Pushabl
 
 
 def depth_and_extension(pushables: Pushables) -> tuple[FloatArray, FloatArray]:
-    """Depth by the maximum force, and the extension of the axis that it takes, (k,) each [m].
-
-    The extension is at most the depth: then a body that is clear of the limb is clear of the extended, smaller part,
-    so that limits never forbid a motion that touches nothing.
-    """
+    """Depth by the maximum force, and the extension of the axis that it takes, (k,) each [m]."""
     scaled, axis = pushables.force[:, None, None] * pushables.compliance, pushables.stiff_axis
     alone = lateral_depth(pushables)
     depth, extension = np.zeros(len(alone)), np.zeros(len(alone))
-    for share in np.linspace(0.0, 1.0, _SHARES):
-        tried = share * alone
-        found = np.clip(smallest_eigenvalue(scaled, axis, tried), 0.0, alone)
-        better = (found > depth * (1.0 + 1e-9)) & (tried <= found * (1.0 + 1e-9))
+    for share in np.linspace(0.0, _MOST_EXTENDED, _EXTENSIONS):
+        weight = max(share, share**2) * alone
+        found = np.clip(smallest_eigenvalue(scaled, axis, weight), 0.0, alone)
+        # The weight is max(l, l^2) times the depth.
+        tried = np.where(weight <= found, weight, np.sqrt(weight * found))
+        better = (found > _WORTH * depth) & (tried <= _MOST_EXTENDED * found)
         depth, extension = np.where(better, found, depth), np.where(better, tried, extension)
     return depth, extension
 

@@ -4,9 +4,12 @@ A contact of the force f that displaces a limb at x by :math:`\delta` along the 
 of a limb on the same clamp, by :math:`u = C_{yx} n f`, with :math:`\delta = f\, n^\top C_{xx} n`. The compliance is
 positive semidefinite, so (Cauchy and Schwarz) :math:`|u|^2 \le \lambda_{max}(C_{yy}) f \delta`. A part of the depth d
 that is extended by :math:`l d` in the direction s is deflected by :math:`\delta \le d (1 - l |n \cdot s|)`
-(`hplan.scene.limb_parts`), so that for :math:`l \le 1`, whatever the normal,
+(`hplan.scene.limb_parts`), so that, whatever the normal,
 
-.. math:: |u| \le r d, \qquad r = \sqrt{\lambda_{max}(C_{yy}) k}, \qquad k C_{xx} + (2 l - l^2) s s^\top \succeq I.
+.. math:: |u| \le r d, \qquad r = \sqrt{\lambda_{max}(C_{yy}) k}, \qquad k C_{xx} + w s s^\top \succeq I,
+
+with :math:`w = 2 l - l^2` for :math:`l \le 1`, else :math:`l^2`: then :math:`(\delta / d)^2 \le 1 - w (n \cdot s)^2`,
+or no contact has this normal.
 
 Beyond x a limb moves as a rigid body: with the rotation per deflection :math:`\theta`, bounded likewise,
 :math:`|u|` is also at most :math:`d (r_x + |y - x| \theta)`.
@@ -64,12 +67,13 @@ def largest_stiffness(
     # Up to the middle the tangent at the nearer end is a lower bound, and the smallest eigenvalue is concave along it.
     bounds = np.stack([first[0], first[0] + half * first[1], last[0] - half * last[1], last[0]])
     bounds /= limits_by_segment(limbs, wood).stiffest[parts.segment, None, None]
-    share = np.minimum(extension / np.maximum(depth, TINY), 1.0)
+    share = extension / np.maximum(depth, TINY)
+    weight = np.where(share <= 1.0, share * (2.0 - share), share**2)
     low, high = np.zeros(len(depth)), parts.force / np.maximum(depth, TINY)
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         scaled = middle[:, None, None] * bounds
-        enough = smallest_eigenvalue(scaled, parts.stiff_axis, share * (2.0 - share)) >= 1.0 - _ROUNDING
+        enough = smallest_eigenvalue(scaled, parts.stiff_axis, weight) >= 1.0 - _ROUNDING
         low, high = np.where(enough, low, middle), np.where(enough, middle, high)
     return high
 

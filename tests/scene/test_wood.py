@@ -24,6 +24,7 @@ from hplan.scene import (
     with_limbs,
 )
 from hplan.scene.limb_contacts import contact_solids, limbs_of
+from hplan.scene.limb_parts import depth_and_extension, divide_limbs, lateral_depth
 from hplan.scene.obstacle_kind import ContactLimit
 from hplan.scene.wood import LARGE_ROTATION_FORCE, MOST_ROTATION, STATIC_SHARE
 
@@ -308,3 +309,16 @@ def test_limits_for_no_limb_are_refused() -> None:
     wood = Wood(limits=(LimbLimits(names=("twig", "twigs"), contact_force=2.0),))
     with pytest.raises(SceneError, match="'twigs' is the name of no limb or fruit"):
         with_limbs(scene_of((TRUNK, TWIG)), wood)
+
+
+def test_a_limb_that_is_stiffest_off_its_axis_is_not_rigid() -> None:
+    limb = Capsule(name="limb", start=(0.0, 0.0, 1.0), end=(0.4, 0.0, 1.0), radius=0.004, parent="trunk")
+    bent = Capsule(name="bent", start=(0.4, 0.0, 1.0), end=(0.48, 0.05, 1.0), radius=0.004, parent="limb")
+    limbs, wood = limbs_of((TRUNK, limb, bent), Wood()), Wood()
+    parts = divide_limbs(limbs, wood)
+    parts = parts.at(parts.segment == limbs.names.index("bent"))
+    stiffest = np.linalg.eigh(parts.compliance[0])[1][:, :, 0]
+    assert (np.abs(np.einsum("kj,kj->k", stiffest, parts.stiff_axis)) < 0.95).all()
+    depth, extension = depth_and_extension(parts)
+    assert (depth > 0.3 * lateral_depth(parts)).all()
+    assert (extension > depth).any()

@@ -165,7 +165,8 @@ def _displacements(contacts: SegmentContacts, grasp: Grasp) -> list[_Displacemen
         return []
     rows, is_own = contacts.rows[loads.row[kept]], is_own[kept]
     used, of_each = np.unique(rows["limit"], return_inverse=True)
-    ratios = [(0.0, False) if own[number] else _ratio_of(point, contacts.limits[number]) for number in used.tolist()]
+    mine = set(rows["limit"][is_own].tolist())
+    ratios = [(0.0, False) if number in mine else _ratio_of(point, contacts.limits[number]) for number in used.tolist()]
     ratio, carries = (np.array(column)[of_each] for column in zip(*ratios, strict=True))
     size, speed = rows["depth"] * ratio, np.where(is_own, rows["speed"], 0.0)
     size[is_own] = [

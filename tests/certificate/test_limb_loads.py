@@ -317,6 +317,9 @@ def test_the_push_of_a_fruit_counts_until_its_grasp() -> None:
     assert swing_at(push, Grasp("apple", apple, 1.1, 3.0)) == pytest.approx(moved + thrown)
     later = math.exp(-2.0 * apple.decay_rate) * (2.0 * moved + thrown)
     assert swing_at(push, Grasp("apple", apple, 2.0, 3.1)) == pytest.approx(later)
+    # The fruit may be met as several solids.
+    twice = contacts_of(apple, apple, share=0.5, speed=0.3, name="apple", whole_depth=0.01)
+    assert displacement_at(twice, Grasp("apple", apple, 1.1, 3.0)) == pytest.approx(moved)
     # Nothing of that depends on the hand being above the fruit, within the extended part only.
     above = contacts_of(apple, share=0.5, speed=0.3, name="apple")
     assert displacement_at(above, Grasp("apple", apple, 1.1, 3.0)) == 0.0

@@ -148,10 +148,9 @@ class Certificate:
         uncovered_links: Names of the visual links that no collision shape covers: nothing is proved about them.
         max_tilt_rad: Upper bound of the tilt of a tool that has to stay upright, at all times, tracking errors
             included [rad]; None in scenes without `upright`.
-        goal_displacement_m: Upper bound of the displacement of a grasped fruit by the hand and by the limbs that are
-            pushed at that time (`hplan.certificate.goal_displacement`) [m]; None in scenes without `wood`, and without
-            a fruit to grasp.
-        goal_swing_m: Upper bound of its swing about that place after earlier contacts [m]; None as above.
+        goal_displacement_m: Upper bound of the displacement of a grasped fruit by all earlier contacts with it and its
+            limb, swinging included (`hplan.certificate.goal_displacement`) [m]; None in scenes without `wood`, and
+            without a fruit to grasp.
     """
 
     verified: bool
@@ -170,7 +169,6 @@ class Certificate:
     pair_rules: tuple[PairRule, ...] = ()
     uncovered_links: tuple[str, ...] = ()
     goal_displacement_m: float | None = None
-    goal_swing_m: float | None = None
     max_tilt_rad: float | None = None
 
     @property
@@ -528,8 +526,7 @@ def certify_among(
         if last.moving is None or violations
         else clear_until(bezier[-1, -1], last, at_rest, clearance, clock[-1]),
         uncovered_links=robot.uncovered_links,
-        goal_displacement_m=None if moved is None else moved.held_m,
-        goal_swing_m=None if moved is None else moved.swing_m,
+        goal_displacement_m=None if moved is None else moved.moved_m,
         max_tilt_rad=tilt,
     )
 
@@ -608,8 +605,7 @@ def all_of(parts: Sequence[Certificate]) -> Certificate:
         clear_until_s=parts[-1].clear_until_s if all(part.verified for part in parts) else None,
         pair_rules=joined_rules(part.pair_rules for part in parts),
         uncovered_links=tuple(dict.fromkeys(name for part in parts for name in part.uncovered_links)),
-        goal_displacement_m=None if moved is None else moved.held_m,
-        goal_swing_m=None if moved is None else moved.swing_m,
+        goal_displacement_m=None if moved is None else moved.moved_m,
         max_tilt_rad=max((p.max_tilt_rad for p in parts if p.max_tilt_rad is not None), default=None),
     )
 

@@ -29,7 +29,10 @@ CONTACT: Final = np.dtype([
 ])  # fmt: skip
 
 #: Fields of `ContactLimit` that loads depend on.
-_LIMIT: Final = ("force", "stress", "segment", "root", "impact", "impact_stress", "swing", "most_force", "most_stress")
+_LIMIT: Final = (
+    *("force", "stress", "segment", "root", "impact", "impact_stress", "swing"),
+    *("most_force", "most_stress", "pressed", "mass"),
+)
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,7 @@ class Loads(NamedTuple):
     Attributes:
         row: (k,) number of each contact.
         static: (k,) upper bound of the force of the deflection [N].
+        pressed: (k,) the part of it by neighbours that the limb or fruit is pressed against [N].
         impact: (k,) force that the speed adds [N].
         stress: (k,) upper bound of the static bending stress [Pa].
         impact_stress: (k,) bending stress that the speed adds [Pa].
@@ -69,11 +73,12 @@ class Loads(NamedTuple):
         most_stress: (k,) allowed bending stress [Pa].
         segment: (k,) limb segment, or the one that a fruit hangs from.
         root: (k,) first bending segment from the clamp; -1 for fruit on wood that does not bend.
-        is_fruit: (k,) True for fruit.
+        mass: (k,) mass of fruit [kg]; 0 for limbs.
     """
 
     row: IntArray
     static: FloatArray
+    pressed: FloatArray
     impact: FloatArray
     stress: FloatArray
     impact_stress: FloatArray
@@ -81,7 +86,12 @@ class Loads(NamedTuple):
     most_stress: FloatArray
     segment: IntArray
     root: IntArray
-    is_fruit: BoolArray
+    mass: FloatArray
+
+    @property
+    def is_fruit(self) -> BoolArray:
+        """(k,) True for fruit."""
+        return self.mass > 0.0
 
     @property
     def force(self) -> FloatArray:
@@ -193,10 +203,11 @@ class SegmentContacts(Record):
         values = np.array([[getattr(limit, name) for name in _LIMIT] for limit in limits], dtype=np.float64)
         columns = dict(zip(_LIMIT, values.reshape(-1, len(_LIMIT))[of_row].T, strict=True))
         share, speed = table["share"], table["speed"]
+        impact = columns["impact"] * speed + columns["swing"] * speed**2
         return Loads(
-            row, share * columns["force"], columns["impact"] * speed + columns["swing"] * speed**2,
-            share * columns["stress"], columns["impact_stress"] * speed, columns["most_force"], columns["most_stress"],
-            columns["segment"].astype(np.int64), columns["root"].astype(np.int64), columns["swing"] > 0.0,
+            row, share * columns["force"], share * columns["pressed"], impact, share * columns["stress"],
+            columns["impact_stress"] * speed, columns["most_force"], columns["most_stress"],
+            columns["segment"].astype(np.int64), columns["root"].astype(np.int64), columns["mass"],
         )  # fmt: skip
 
     @cached_property

@@ -374,7 +374,7 @@ def certify_gently(
 
 
 def _moves_goal_too_far(problem: Problem, certificate: Certificate) -> bool:
-    """True if pushed limbs displace the goal fruit beyond the capture range, which no speed changes."""
+    """True if pushed limbs may displace the goal fruit beyond the capture range: lower speeds hardly change that."""
     wood, displacement = problem.scene.wood, certificate.goal_displacement_m
     return wood is not None and displacement is not None and displacement > wood.capture_range
 

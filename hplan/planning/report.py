@@ -131,7 +131,6 @@ def pushes_report(certificate: Certificate, scene: Scene) -> dict[str, Any]:
         told |= {
             "wood": scene.wood.model_dump(mode="json"),
             "goal_displacement_m": certificate.goal_displacement_m,
-            "goal_swing_m": certificate.goal_swing_m,
         }
     return told | {"pushes": None if found is None else [push_report(push) for push in found]}
 

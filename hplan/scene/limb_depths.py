@@ -30,6 +30,7 @@ class PermittedContacts(NamedTuple):
         depth: (k,) permitted depth [m].
         extension: (k,) extension of both ends along the stiff axis [m].
         force: (k,) static force at that depth [N].
+        pressed: (k,) the part of it by neighbours [N].
         stress: (k,) static stress of the limb at that depth [Pa].
         stiffness: (k,) upper bound of force times deflection per squared depth of parts of limbs [N/m]; 0 for fruit.
     """
@@ -37,6 +38,7 @@ class PermittedContacts(NamedTuple):
     depth: FloatArray
     extension: FloatArray
     force: FloatArray
+    pressed: FloatArray
     stress: FloatArray
     stiffness: FloatArray
 
@@ -70,10 +72,10 @@ def permitted_contacts(
     depth[depth < LEAST_DEPTH_M] = 0.0
     force = per_depth * depth
     pushed_on = np.maximum(0.0, depth[found.pushable] - found.gap)
-    squeezed = np.bincount(found.pushable, np.multiply(found.stiffness, pushed_on, where=pushed_on > 0.0,
-                                                       out=np.zeros(len(pushed_on))), count)  # fmt: skip
+    pressing = np.multiply(found.stiffness, pushed_on, where=pushed_on > 0.0, out=np.zeros(len(pushed_on)))
+    squeezed = np.bincount(found.pushable, pressing, count).astype(np.float64)
     extension = np.divide(lengths * depth, whole, out=np.zeros(count), where=whole > 0.0)
-    return PermittedContacts(depth, extension, force + squeezed, force * pushables.stress, stiffness)
+    return PermittedContacts(depth, extension, force + squeezed, squeezed, force * pushables.stress, stiffness)
 
 
 class Neighbours(NamedTuple):

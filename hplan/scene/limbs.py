@@ -20,7 +20,7 @@ Extension and shear are neglected, so forces are not underestimated. Along a seg
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -187,36 +187,16 @@ class Limbs(Record):
             points: (2, 3) the points, on these segments' axes [m].
             youngs_modulus: Young's modulus [Pa].
         """
-        return self._of_parts(self._shared_parts(numbers, points), points, youngs_modulus)
-
-    def shared_compliance(self, numbers: tuple[int, int], points: FloatArray, youngs_modulus: float) -> FloatArray:
-        """(3, 3) displacement at one point by a force there, of the wood that also carries another one alone [m/N].
-
-        It grows with the distance of the other point from the clamp.
-
-        Args:
-            numbers: Segments of the displaced point and of the other one.
-            points: (2, 3) the points, on these segments' axes [m].
-            youngs_modulus: Young's modulus [Pa].
-        """
-        return self._of_parts(self._shared_parts(numbers, points), points[[0, 0]], youngs_modulus)
-
-    def _shared_parts(self, numbers: tuple[int, int], points: FloatArray) -> Iterator[tuple[int, float]]:
-        """Segments on the paths of both points, and how far from their start they carry both [m]."""
         paths = [self.path(number)[::-1] for number in numbers]
         shared = [row for row, other in zip(*paths, strict=False) if row == other]
+        found, rigidity = np.zeros((3, 3)), self.flexural_rigidity(youngs_modulus)
         for rank, row in enumerate(shared):
             ends = [
                 float(np.dot((self.joint[path[rank + 1]] if rank + 1 < len(path) else point) - self.start[row],
                              self.axis[row]))
                 for path, point in zip(paths, points, strict=True)
             ]  # fmt: skip
-            yield row, min(max(min(ends), 0.0), float(self.length[row]))
-
-    def _of_parts(self, parts: Iterable[tuple[int, float]], points: FloatArray, youngs_modulus: float) -> FloatArray:
-        """(3, 3) displacement at one of (2, 3) points by a force at the other, of some segments' first parts alone."""
-        found, rigidity = np.zeros((3, 3)), self.flexural_rigidity(youngs_modulus)
-        for row, part in parts:
+            part = min(max(min(ends), 0.0), float(self.length[row]))
             twist = (1.0 / TWIST_RATIO - 1.0) * part / rigidity[row]
             arms = [np.cross(self.axis[row], point - self.start[row]) for point in points]
             found += twist * np.outer(*arms)

@@ -146,11 +146,8 @@ def _rotation(rpy_deg: tuple[float, float, float]) -> FloatArray:
 class Hanging(Protocol):
     """Point that a fruit hangs from (`hplan.scene.hanging_point`)."""
 
-    def __call__(self, limit: ContactLimit, /) -> tuple[float, bool]:
-        """Largest displacement per deflection of another part, and True if one of both carries the other."""
-
-    def displacement_by_push(self, force: float, depth: float) -> float:
-        """Upper bound of the displacement of the fruit itself by a push [m]."""
+    def displacement_by_work(self, of_wood: float, others: float) -> float:
+        """Upper bound of the displacement of the fruit itself by some work [m]."""
 
 
 class ContactLimit(NamedTuple):
@@ -177,6 +174,8 @@ class ContactLimit(NamedTuple):
         capture_range: Allowed displacement of a fruit that is grasped [m].
         stiffness_per_pa: For a part of a limb the upper bound of force times deflection per squared depth, whatever the
             normal of the contact, per pascal of Young's modulus [m] (`hplan.scene.limb_sweeps`).
+        pressed: The part of `force` by neighbours that limb or fruit is pressed against [N].
+        mass: Mass of a fruit [kg]; 0 for limbs.
     """
 
     depth: float
@@ -195,6 +194,8 @@ class ContactLimit(NamedTuple):
     decay_rate: float
     capture_range: float
     stiffness_per_pa: float
+    pressed: float
+    mass: float
 
 
 #: Links that a solid counts for: all, those that may push compliant obstacles, or the others.

@@ -121,7 +121,7 @@ class Wood(StrictModel):
         density: Density of wood [kg/m^3].
         fruit_density: Density of fruit [kg/m^3].
         contact_stiffness: Stiffness of the contact between link and limb, for impacts [N/m].
-        capture_range: Maximum displacement of the goal fruit at the grasp by the limbs that are pushed [m].
+        capture_range: Maximum displacement of the goal fruit at the grasp by everything pushed before [m].
         limits: Limits of single limbs and fruit in place of these; of several for one name the last one holds.
 
     Examples:

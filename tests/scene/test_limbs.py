@@ -81,30 +81,6 @@ def test_mutual_compliance_is_the_integral_over_the_shared_path() -> None:
     np.testing.assert_allclose(found, back.T, atol=1e-12 * np.abs(wanted).max())
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_a_force_displaces_another_point_by_wood_that_carries_both(seed: int) -> None:
-    limbs, random, largest = Limbs.of(random_chain(seed)), np.random.default_rng(seed), 0.0
-    here, there = limbs.names.index("twig 3"), limbs.names.index("twig 1")
-    place = limbs.start[here] + 0.6 * limbs.length[here] * limbs.axis[here]
-    part = 0.2 * limbs.length[there], 0.9 * limbs.length[there]
-    ends = [np.stack([place, limbs.start[there] + along * limbs.axis[there]]) for along in part]
-    bound = np.linalg.eigvalsh(limbs.shared_compliance((here, there), ends[1], MODULUS))[-1]
-    assert np.linalg.eigvalsh(limbs.shared_compliance((here, there), ends[0], MODULUS))[-1] < bound
-    whole = limbs.mutual_compliance((here, here), ends[1][[0, 0]], MODULUS)
-    assert bound < np.linalg.eigvalsh(whole)[-1]
-    # With both points on one limb, the nearer to the clamp shares all of its wood.
-    back = limbs.shared_compliance((there, here), ends[1][::-1], MODULUS)
-    np.testing.assert_allclose(back, limbs.mutual_compliance((there, there), ends[1][[1, 1]], MODULUS))
-    for _ in range(2000):
-        along, normal = random.uniform(*part), random.normal(size=3)
-        normal /= np.linalg.norm(normal)
-        at = limbs.start[there] + along * limbs.axis[there]
-        moved = np.linalg.norm(limbs.mutual_compliance((here, there), np.stack([place, at]), MODULUS) @ normal)
-        deflection = normal @ limbs.compliance(there, along / limbs.length[there], MODULUS)[:3, :3] @ normal
-        largest = max(largest, float(moved**2 / (bound * deflection)))
-    assert 0.3 < largest <= 1.0 + 1e-9
-
-
 def test_derivative_along_an_axis() -> None:
     limbs = Limbs.of(random_chain(1))
     number, at, step = np.array([limbs.names.index("twig 2")]), np.array([0.03]), 1e-5

@@ -151,6 +151,8 @@ def list_between(option: str, values: Any, low: float, high: float) -> tuple[flo
 
 def list_of(option: str, values: Any, kind: Any, what: str) -> tuple[Any, ...]:
     """Return several instances of a class."""
+    if type(values) is tuple and all(isinstance(item, kind) for item in values):
+        return values
 
     def check(place: str, item: Any) -> Any:
         if not isinstance(item, kind):

@@ -66,22 +66,25 @@ def numbers(
     Raises:
         InputError: `values` has another shape, or a value is not a finite number or has a magnitude above `most`.
     """
-    words = ", ".join("n" if count is None else "..." if count is ... else str(count) for count in shape)
-    expected = f"({words},), a list of finite numbers" if len(shape) == 1 else f"({words}) finite numbers"
     try:
         array = as_array(values)
     except ValueError as error:
-        raise InputError(f"{option}: expected {expected}, got rows of different lengths", option=option) from error
+        reason = f"{option}: expected {_describe_shape(shape)}, got rows of different lengths"
+        raise InputError(reason, option=option) from error
     if array.size and array.dtype.kind not in "fiu":
-        raise InputError(f"{option}: expected {expected}, got {_shorten_repr(values)}", option=option)
+        reason = f"{option}: expected {_describe_shape(shape)}, got {_shorten_repr(values)}"
+        raise InputError(reason, option=option)
     last = shape[1:] if shape[:1] == (...,) else shape
     fits = (array.ndim == len(shape) or (last is not shape and array.ndim >= len(last))) and all(
         wanted is None or wanted == count for wanted, count in zip(reversed(last), reversed(array.shape), strict=False)
     )
     if not fits:
-        raise InputError(f"{option} has shape {array.shape}, expected {expected}", option=option)
-    with np.errstate(over="ignore"):  # float128 values may overflow float64
+        raise InputError(f"{option} has shape {array.shape}, expected {_describe_shape(shape)}", option=option)
+    if array.dtype == np.float64:
         result = readonly(array)
+    else:
+        with np.errstate(over="ignore"):  # float128 values may overflow float64
+            result = readonly(array)
     if not np.isfinite(result).all():
         place = np.argwhere(~np.isfinite(result))[0].tolist()
         raise InputError(
@@ -92,6 +95,11 @@ def numbers(
         reason = f"{option} holds {result[tuple(place)]:g} at {place}, expected at most {most:g}"
         raise InputError(reason, option=option, place=place)
     return result
+
+
+def _describe_shape(shape: tuple[int | EllipsisType | None, ...]) -> str:
+    words = ", ".join("n" if count is None else "..." if count is ... else str(count) for count in shape)
+    return f"({words},), a list of finite numbers" if len(shape) == 1 else f"({words}) finite numbers"
 
 
 def _shorten_repr(value: object) -> str:

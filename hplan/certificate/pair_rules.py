@@ -65,9 +65,10 @@ def joined_rules(parts: Iterable[Sequence[PairRule]]) -> tuple[PairRule, ...]:
     found = dict[tuple[str, str, str], PairRule]()
     for rule in (rule for part in parts for rule in part):
         key = rule.link, rule.other, rule.rule
-        bounds = [each.clearance_m for each in (rule, found.get(key, rule))]
-        known = [bound for bound in bounds if bound is not None]
-        found[key] = replace(rule, clearance_m=min(known) if len(known) == len(bounds) else None)
+        before = found.setdefault(key, rule).clearance_m
+        # The lowest bound, or None if one is unknown.
+        if before is not None and (rule.clearance_m is None or rule.clearance_m < before):
+            found[key] = rule
     return tuple(found.values())
 
 

@@ -7,8 +7,6 @@ motion is verified collision-free by bounds on the motion of the bodies (`hplan.
 
 from __future__ import annotations
 
-import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -140,12 +138,14 @@ class ClearanceField(Record):
             distance: Obstacles are kept if their bounding balls are within this distance of the links [m].
         """
         points = np.asarray(path, dtype=np.float64)
-        parts = [points[:1]]
-        for first, last in itertools.pairwise(points):
-            count = max(1, math.ceil(float(np.abs(last - first).max()) / _NEAR_STEP))
-            parts.append(first + np.linspace(0.0, 1.0, count + 1)[1:, None] * (last - first))
+        turns = np.diff(points, axis=0)
+        counts = np.maximum(1, np.ceil(np.abs(turns).max(axis=1) / _NEAR_STEP)).astype(np.int64)
+        # Number of each sample in its segment.
+        number = np.arange(1, counts.sum() + 1) - np.repeat(np.cumsum(counts) - counts, counts)
+        samples = np.repeat(points[:-1], counts, axis=0)
+        samples += (number / np.repeat(counts, counts))[:, None] * np.repeat(turns, counts, axis=0)
         kept = np.zeros(len(self.solids), dtype=np.bool_)
-        mark_near(np.concatenate(parts), self.arrays, distance, kept)
+        mark_near(np.concatenate([points[:1], samples]), self.arrays, distance, kept)
         check_deadline()
         return self._of_rows(kept)
 

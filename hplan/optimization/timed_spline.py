@@ -43,7 +43,7 @@ class BoundaryState(Record):
         """State at a sample of a trajectory."""
         return cls(trajectory.position[row], trajectory.velocity[row], trajectory.acceleration[row])
 
-    def controls(self, widths: FloatArray) -> FloatArray:
+    def controls(self, widths: tuple[float, float]) -> FloatArray:
         r"""(`RESTING`, dof) outer control points of a spline starting in this state.
 
         With the durations :math:`h_1, h_2` of the first two pieces, they are :math:`q, \; q + h_1 v / 3` and, from
@@ -51,25 +51,28 @@ class BoundaryState(Record):
         :math:`(h_1 + h_2) (v + h_1 a / 2) / 3` farther. At the end of a motion the durations are negative.
 
         Args:
-            widths: (2,) durations of the first pieces, the outer one first [s].
+            widths: Durations of the first pieces, the outer one first [s].
         """
-        first, second = widths.tolist()
-        near = self.position + (first / 3.0) * self.velocity
-        far = near + ((first + second) / 3.0) * (self.velocity + (0.5 * first) * self.acceleration)
-        return np.stack([self.position, near, far])
+        first, second = widths
+        points = np.empty((RESTING, len(self.position)))
+        points[0] = self.position
+        points[1] = self.position + (first / 3.0) * self.velocity
+        points[2] = points[1] + ((first + second) / 3.0) * (self.velocity + (0.5 * first) * self.acceleration)
+        return points
 
-    def drifts(self, widths: FloatArray) -> FloatArray:
+    def drifts(self, widths: tuple[float, float]) -> FloatArray:
         """(`RESTING`, dof) derivatives of the outer control points at time scale 1.
 
         The derivatives are with respect to the time scale.
 
         Args:
-            widths: (2,) durations of the first pieces, the outer one first [s].
+            widths: Durations of the first pieces, the outer one first [s].
         """
-        first, second = widths.tolist()
-        near = (first / 3.0) * self.velocity
-        far = near + ((first + second) / 3.0) * (self.velocity + first * self.acceleration)
-        return np.stack([np.zeros_like(near), near, far])
+        first, second = widths
+        points = np.zeros((RESTING, len(self.position)))
+        points[1] = (first / 3.0) * self.velocity
+        points[2] = points[1] + ((first + second) / 3.0) * (self.velocity + first * self.acceleration)
+        return points
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,12 +139,13 @@ class TimedSpline(Record):
         return TimedSpline(frozen(control), self.knots, ends)
 
     @property
-    def _widths(self) -> tuple[FloatArray, FloatArray]:
-        """(2,) durations of the outer pieces at both ends [s].
+    def _widths(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Durations of the two outer pieces at both ends [s].
 
         The outermost piece comes first; durations at the end are negative.
         """
-        return np.diff(self.knots[3:6]), np.diff(self.knots[-6:-3])[::-1] * -1.0
+        (a, b, c), (d, e, f) = self.knots[3:6].tolist(), self.knots[-6:-3].tolist()
+        return (b - a, c - b), (e - f, d - e)
 
     @property
     def drift(self) -> FloatArray:
@@ -207,7 +211,8 @@ class TimedSpline(Record):
         """
         check_row_count(self.duration * rate_hz, self.duration, rate_hz)
         clock = np.arange(math.floor(self.duration * rate_hz + 1e-6) + 1, dtype=np.float64) / rate_hz
-        position, velocity, acceleration = (self.path.evaluate(clock, derivative) for derivative in range(3))
+        path = self.path
+        position, velocity, acceleration = (path.evaluate(clock, derivative) for derivative in range(3))
         still = np.ptp(self.control, axis=0) <= 1e-12  # up to rounding
         position[:, still], velocity[:, still], acceleration[:, still] = self.control[0, still], 0.0, 0.0
         for end, state in zip((0, -1), self.ends or (None, None), strict=True):

@@ -117,8 +117,8 @@ class Trajectory(Record):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joint_names", list_of("trajectory: joint_names", self.joint_names, str, "names"))
-        repeated = next((name for name in self.joint_names if self.joint_names.count(name) > 1), None)
-        if repeated is not None:
+        if len(set(self.joint_names)) < len(self.joint_names):
+            repeated = next(name for name in self.joint_names if self.joint_names.count(name) > 1)
             raise InputError(f"trajectory: joint_names has {repeated!r} twice, expected each joint once")
         time = numbers("trajectory: time", self.time, (None,))
         object.__setattr__(self, "time", time)

@@ -170,7 +170,8 @@ def prove_clearance(
 class _Search(NamedTuple):
     """Arrays of an `Advancement` and its motion for kernels.
 
-    Includes buffers for the next query's pairs and configuration. (Each array that a kernel returns costs 2 us.)
+    Includes buffers for the next query's pairs and configuration, and the lower bounds of the pairs' distances at the
+    start. (Each array that a kernel returns costs 2 us.)
     """
 
     bezier: FloatArray
@@ -182,6 +183,7 @@ class _Search(NamedTuple):
     asked: IntArray
     q: FloatArray
     shown: FloatArray
+    at_start: FloatArray
 
 
 class Advancement:
@@ -246,7 +248,7 @@ class Advancement:
         bound = np.where(by_itself, np.cumsum(by_itself), 0.0)
         self.shown: FloatArray = np.full(1 + int(by_itself.sum()), math.inf)
         self.pairs = np.stack([kept, due, upto, none + math.inf, none, may_lack, checker.taken_off, bound])
-        self._required = none + asked
+        self._required, self._at_start = none + asked, np.full(len(none), -math.inf)
         self.mover_of = mover_of
         self._ahead, self.checks, self.looks = _AHEAD, 0, 0
         self.nearest = math.inf, 0, 0.0
@@ -266,7 +268,10 @@ class Advancement:
     def _search(self) -> _Search:
         joints, bezier = joints_as_pinocchio(self._checker.robot), np.ascontiguousarray(self._bezier)
         room = np.zeros(len(self.mover_of), dtype=np.int64), np.zeros(bezier.shape[2])
-        return _Search(bezier, self.mover_of, self.movers, self.pairs, self._checker.boxes, joints, *room, self.shown)
+        return _Search(
+            bezier, self.mover_of, self.movers, self.pairs, self._checker.boxes, joints, *room, self.shown,
+            self._at_start,
+        )  # fmt: skip
 
     def first_query(self) -> Look:
         """The first query: the nearest pairs at the start, or all.
@@ -274,9 +279,9 @@ class Advancement:
         The other pairs are due there too.
         """
         pairs, q = self._checker.meeting_pairs, self._bezier[0, 0]
+        self._at_start[pairs] = nearness = self._checker.lower_bounds(q, pairs)
         if len(pairs) > FIRST:
-            nearness = self._checker.lower_bounds(q, pairs) - self.pairs[0, pairs]
-            pairs = pairs[np.sort(np.argpartition(nearness, FIRST)[:FIRST])]
+            pairs = pairs[np.sort(np.argpartition(nearness - self.pairs[0, pairs], FIRST)[:FIRST])]
         return pairs, 0.0, q
 
     def next_query(self, look: Look) -> Look | None:
@@ -503,7 +508,9 @@ def _put_off_far(count: int, frames: FloatArray, work: FloatArray, place: tuple[
     left = 0
     for i in range(count):
         pair = search.asked[i]
-        bound = box_separation(frames, search.boxes, pair, work) - taken_off[pair]
+        bound = search.at_start[pair]
+        if at > 0.0:
+            bound = box_separation(frames, search.boxes, pair, work) - taken_off[pair]
         spare_clearance = bound - (_linear(sway[mover_of[pair]], at) + kept[pair])
         shown = search.shown[int(all_pairs[7, pair])]
         if spare_clearance >= FAR and 0.5 * spare_clearance >= shown:

@@ -153,8 +153,11 @@ def motion_of_movers(
     of_bodies, reaches = parts.deviated_reaches(deviations)
     starts, motion = _group_segments(np.ascontiguousarray(bezier), _TOGETHER, _TURN)
     travels = _travels(motion, of_bodies, parts.rows, joint_table(robot), *parts.travellers, parts.motion_groups)
-    nearer = np.zeros((len(travels), len(deviations)))
-    np.maximum.at(nearer, parts.motion_groups, reaches @ deviations.T)
+    order = np.argsort(parts.motion_groups, kind="stable")  # Every group has a member.
+    first = np.searchsorted(parts.motion_groups[order], np.arange(len(travels)))
+    nearer = (
+        np.maximum.reduceat((reaches @ deviations.T)[order], first) if len(first) else np.zeros((0, len(deviations)))
+    )
     pieces = np.diff(starts, append=len(bezier))
     return parts.motion_groups[checker.pair_movers], np.repeat(travels / pieces, pieces, axis=1), nearer
 

@@ -310,12 +310,15 @@ def certified_trajectory(
     limits, largest = motion_limits(problem), np.empty(0)
     # Fractions of the path's maximum speed, tried in turn until the motion is certified.
     speeds = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.12, 0.08, 0.05, 0.03)
-    for speed in speeds if problem.options.tracking.delay_s > 0.0 else speeds[:1]:
+    tried = speeds if problem.options.tracking.delay_s > 0.0 else speeds[:1]
+    for speed in tried:
         if speed < 1.0:
             limits = replace(limits, velocity=np.minimum(limits.velocity, np.maximum(speed * largest, 1e-3)))
         trajectory = time_along(problem, path, limits, grid)
         largest = np.abs(trajectory.velocity).max(axis=0) if speed == 1.0 else largest
-        trajectory, certificate = certify_gently(problem, trajectory, among)
+        # A slower motion may follow, so nothing is said of this one.
+        measured = speed == tried[-1]
+        trajectory, certificate = certify_gently(problem, trajectory, among, measured=measured)
         if _is_usable(problem, certificate):
             break
     return trajectory, require_certificate(problem, certificate)
@@ -348,17 +351,23 @@ def time_along(
 
 
 def certify_gently(
-    problem: Problem, trajectory: Trajectory, among: Callable[[Trajectory], Sequence[Stretch]] | None = None
+    problem: Problem,
+    trajectory: Trajectory,
+    among: Callable[[Trajectory], Sequence[Stretch]] | None = None,
+    *,
+    measured: bool = True,
 ) -> tuple[Trajectory, Certificate]:
     """A trajectory and its certificate, verified or not; slower where impacts on limbs require it.
 
     Args:
         among: Returns the segments and obstacles to certify a trajectory against; None for the obstacles of the
             problem.
+        measured: Whether the minimum distance is searched if the clearance is not proved.
     """
     if problem.is_draft:
         return trajectory, _NONE
-    quick, certificate = trajectory, certificate_of(problem, trajectory, None if among is None else among(trajectory))
+    quick = trajectory
+    certificate = certificate_of(problem, quick, None if among is None else among(quick), measured=measured)
     for ease_s in _EASE_S:
         if certificate.verified or _moves_goal_too_far(problem, certificate):
             break
@@ -392,12 +401,14 @@ def certificate_of(
     among: Sequence[Stretch] | None = None,
     *,
     rest_to_rest: bool = True,
+    measured: bool = True,
 ) -> Certificate:
     """The certificate of a trajectory, verified or not.
 
     Args:
         among: The segments and obstacles to certify against; None for the obstacles of the problem.
         rest_to_rest: True if the trajectory must begin and end at rest.
+        measured: Whether the minimum distance is searched if the clearance is not proved.
     """
     options = problem.options
     with stage("certificate"):
@@ -408,6 +419,7 @@ def certificate_of(
             clearance=problem.scene.clearance,
             tracking=options.certified_tracking,
             rest_to_rest=rest_to_rest,
+            measured=measured,
         )
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-from hplan.base.arguments import truth
+from hplan.base.arguments import list_of, truth
 from hplan.base.arrays import Record
 from hplan.base.deadline import Cancel, TimeIsUpError, check_deadline, time_limit
 from hplan.collision.coal_scene import Contact
@@ -14,6 +14,7 @@ from hplan.errors import (
     CertificationError,
     ConfigurationInCollisionError,
     HplanError,
+    OptionError,
     SceneError,
     TimingError,
     UnreachableError,
@@ -72,6 +73,7 @@ def reachable(
     scene: Scene,
     options: PlanOptions | None = None,
     *,
+    fruits: Sequence[str] | None = None,
     motions: bool = False,
     progress: Progress = no_progress,
     cancel: Cancel | None = None,
@@ -87,6 +89,7 @@ def reachable(
         robot: The arm.
         scene: Obstacles and fruits; each fruit is an obstacle to the others. Only `approach_deg` of the goal is used.
         options: As for `plan`. A deadline has to cover all fruits.
+        fruits: Names of the fruits to check; None for all.
         motions: True also plans motions from the start, with the effort `quick`, which takes ten times as long.
         progress: Called with the name of each step.
         cancel: As for `hplan.plan`.
@@ -96,12 +99,14 @@ def reachable(
 
     Raises:
         InputError: The scene does not fit the robot, or the start is invalid or in collision.
-        OptionError: An option does not apply to the robot.
+        OptionError: An option does not apply to the robot; `fruits` names an unknown fruit, names one twice, or is
+            empty.
         NotInTimeError: The deadline passed before all fruits were checked.
         PlanCancelledError: The check was cancelled.
     """
     check_task(robot, scene, options, progress)
     truth("motions", motions)
+    chosen = set(fruit_names(scene, fruits)) if fruits is not None else {fruit.name for fruit in scene.fruits}
     if motions and scene.start.is_moving:
         raise SceneError("these motions begin at rest, but the start has a velocity or an acceleration", where="start")
     asked = PlanOptions() if options is None else options
@@ -112,13 +117,35 @@ def reachable(
             problem.world.check_base()
             problem.from_configurations(problem.start, problem.start)
             found: dict[str, FruitReach] = {}
-            for number, fruit in enumerate(scene.fruits):
+            for number, fruit in enumerate(fruit for fruit in scene.fruits if fruit.name in chosen):
                 check_deadline()
-                progress(f"fruit {number + 1} of {len(scene.fruits)}")
+                progress(f"fruit {number + 1} of {len(chosen)}")
                 found[fruit.name] = _reach(problem, fruit, motions=motions)
         except TimeIsUpError:
-            raise limit.error([f"{len(scene.fruits)} fruits"]) from None
+            raise limit.error([f"{len(chosen)} fruits"]) from None
     return MappingProxyType(found)
+
+
+def fruit_names(scene: Scene, fruits: Sequence[str] | None) -> list[str]:
+    """Names of some fruits of a scene, validated.
+
+    Args:
+        scene: The scene.
+        fruits: The names; None for all.
+
+    Raises:
+        OptionError: A name is unknown or occurs twice, or there is none.
+    """
+    known = [fruit.name for fruit in scene.fruits]
+    names = known if fruits is None else list(list_of("fruits", fruits, str, "names"))
+    if not names:
+        raise OptionError("fruits", names, "a fruit to pick" if known else "a scene with fruits")
+    for number, name in enumerate(names):
+        if name not in known:
+            raise OptionError("fruits", name, f"fruits of the scene: {', '.join(known) or 'it has none'}")
+        if name in names[:number]:
+            raise OptionError("fruits", name, "each fruit once")
+    return names
 
 
 def _reach(problem: Problem, fruit: Fruit, *, motions: bool) -> FruitReach:

@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import Field
 
 from hplan.base import ties
-from hplan.base.arguments import instance, list_of
+from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.checked import Options
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
@@ -33,6 +33,7 @@ from hplan.planning.motion import Motion, certificate_of, in_sequence, require_c
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task
 from hplan.planning.problem import Problem
+from hplan.planning.reachable import fruit_names
 from hplan.planning.report import assumptions_report, far_report, motion_report
 from hplan.planning.stages import Progress, no_progress
 from hplan.robot.model import Robot
@@ -208,7 +209,7 @@ def plan_tour(
     check_task(robot, scene, options, progress)
     if tour is not None:
         instance("tour", tour, TourOptions)
-    names = _names(scene, fruits)
+    names = fruit_names(scene, fruits)
     options = options or PlanOptions()
     with time_limit(options.deadline_s, cancel) as limit:
         try:
@@ -217,20 +218,6 @@ def plan_tour(
             return TourPlanner(robot, scene, whole, tour or TourOptions(), names, progress).run(names)
         except TimeIsUpError:
             raise limit.error([f"a tour over {len(names)} fruits"]) from None
-
-
-def _names(scene: Scene, fruits: Sequence[str] | None) -> list[str]:
-    """Return the fruits to pick."""
-    known = [fruit.name for fruit in scene.fruits]
-    names = known if fruits is None else list(list_of("fruits", fruits, str, "names"))
-    if not names:
-        raise OptionError("fruits", names, "a fruit to pick" if known else "a scene with fruits")
-    for number, name in enumerate(names):
-        if name not in known:
-            raise OptionError("fruits", name, f"fruits of the scene: {', '.join(known) or 'it has none'}")
-        if name in names[:number]:
-            raise OptionError("fruits", name, "each fruit once")
-    return names
 
 
 @dataclass(frozen=True, eq=False)

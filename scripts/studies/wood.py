@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from studies.harness import Row, Study, StudyConfig, evenly_chosen
+from studies.harness import Row, Study, StudyConfig
 from studies.measure import planned
 
 from hplan.apps.execution.bending_wood import BendingTrees, WoodBodies
@@ -51,7 +51,7 @@ TOLERANCE = 0.05
 
 @dataclass(frozen=True)
 class TreePush:
-    """A push of a tree: its name, its tree's file and its random seed."""
+    """A push of a tree, or a pick from it: its name, its tree's file and its random seed."""
 
     name: str
     tree: Path
@@ -64,13 +64,11 @@ class TreePush:
 
 
 def _pushes(config: StudyConfig) -> Iterable[TreePush]:
-    """Pushes of each tree; `count` is the number for each."""
-    files = sorted((config.trees or Path()).glob("*.csv"))
-    count = config.count or 0
+    """Pushes or picks of each tree; `count` is the number for each."""
     return [
-        TreePush(f"{file.stem}: push {number}", file, (config.seed, row, number))
-        for row, file in enumerate(files)
-        for number in range(config.first, config.first + count)
+        TreePush(f"{file.stem}: {number}", file, (config.seed, row, number))
+        for row, file in enumerate(sorted((config.trees or Path()).glob("*.csv")))
+        for number in config.numbers
     ]
 
 
@@ -469,60 +467,59 @@ WOOD_MOVING = Study(
 
 # Picks.
 
-#: Distances of the trees from the arm [m]; --values distances overrides them.
-PICK_DISTANCES = (1.2, 1.5)
+#: Ranges of the trees' distances from the arm, of their sideways distances [m], and of their turns [deg].
+PICK_DISTANCES, PICK_SIDES, PICK_TURNS = (1.1, 1.6), (-0.6, 0.6), (0.0, 360.0)
+
+#: Number of the fruit nearest to the arm of which one is picked.
+PICK_AMONG = 24
+
+#: Time before the first contact from which on picks are simulated [s].
+PICK_BEFORE_S = 0.1
 
 #: Tracking error that picks allow for [rad], and the simulated controller.
 PICK_TRACKING_RAD, PICK_PLANT = 2e-5, Plant(bandwidth=200.0, decoupled=True)
 
 
-@dataclass(frozen=True)
-class PickProblem:
-    """A fruit to pick from a tree: its name, the tree's file, its distance from the arm [m] and the fruit."""
+def _drawn_pick(config: StudyConfig, robot: Robot, problem: TreePush) -> Scene | None:
+    """The tree at a random place, with the first of some random fruit that can be picked as the goal; None for none.
 
-    name: str
-    tree: Path
-    distance: float
-    fruit: str
-
-
-@lru_cache(maxsize=2)
-def _orchard(tree: Path, distance: float) -> Scene:
-    return with_limbs(measured_orchard([tree], MeasuredOptions(distance=distance, yaw_deg=180.0)))
-
-
-def _picks(config: StudyConfig) -> Iterable[PickProblem]:
-    """Fruit that can be picked from each tree at each distance, evenly spread; `count` is the number for each tree."""
-    robot = config.arm("orchard_harvester")
-    found = [
-        PickProblem(f"{file.stem} at {distance:g} m: {name}", file, distance, name)
-        for file in sorted((config.trees or Path()).glob("*.csv"))
-        for distance in config.values.get("distances", PICK_DISTANCES)
-        for name in _within_reach(robot, _orchard(file, distance))
-    ]
-    return evenly_chosen(found, config.count, lambda problem: problem.tree.stem)
-
-
-def _within_reach(robot: Robot, scene: Scene) -> list[str]:
-    """Names of the fruit with a grasp and an approach; none if the arm has no room."""
+    `--values clearance=0.02` sets the clearance from what may not be pushed [m]: a larger one leads to more pushes.
+    """
+    random = problem.random
+    options = MeasuredOptions(
+        distance=float(random.uniform(*PICK_DISTANCES)), yaw_deg=float(random.uniform(*PICK_TURNS))
+    )
+    scene = with_limbs(measured_orchard([problem.tree], options)).shift((0.0, float(random.uniform(*PICK_SIDES)), 0.0))
+    scene = scene.with_values(clearance=config.values.get("clearance", (scene.clearance,))[0])
+    near = sorted(scene.fruits, key=lambda fruit: float(np.linalg.norm(fruit.center[:2])))[:PICK_AMONG]
+    some = random.permutation([fruit.name for fruit in near]).tolist()
     try:
-        return [name for name, fruit in reachable(robot, scene).items() if fruit.can_be_picked]
-    except InputError:
-        return []
+        found = reachable(robot, scene, fruits=some) if some else {}
+    except InputError:  # the arm has no room
+        return None
+    goal = next((name for name in some if found[name].can_be_picked), None)
+    return None if goal is None else scene.with_values(goal=Goal(fruit=goal))
 
 
-def _pick(config: StudyConfig, problem: PickProblem) -> Row:
+def _pick(config: StudyConfig, problem: TreePush) -> Row | None:
     """A certified pick, executed among trees that bend; forces relative to the certificate's bounds."""
     robot = config.arm("orchard_harvester")
-    scene = _orchard(problem.tree, problem.distance).with_values(goal=Goal(fruit=problem.fruit))
+    scene = _drawn_pick(config, robot, problem)
+    if scene is None:
+        return None
     options = PlanOptions(effort=config.effort, tracking_error=PICK_TRACKING_RAD)
     result, row = planned(robot, scene, options)
     row |= {"name": problem.name, "tree": problem.tree.stem}
     if result is None or not result.certificate.verified:
         return row
     pushes, frames = result.certificate.pushes or (), robot.model.frames
-    picks = picks_in(result.picked_fruit, result.phases)
-    executed = execute(robot, scene, result.trajectory, PICK_PLANT, trees=BendingTrees(), picks=picks)
+    (pick,) = picks_in(result.picked_fruit, result.phases)
+    # Nothing moves before the first contact.
+    touched_s = min([pick.touched_s, *(push.begin_s for push in pushes)]) - PICK_BEFORE_S
+    motion = result.trajectory.cut_before(max(0, int(np.searchsorted(result.trajectory.time, touched_s)) - 1))
+    begin_s = result.trajectory.duration - motion.duration
+    pick = pick._replace(touched_s=max(0.0, pick.touched_s - begin_s), picked_s=pick.picked_s - begin_s)
+    executed = execute(robot, scene, motion, PICK_PLANT, trees=BendingTrees(), picks=[pick])
     trees = executed.trees
     if trees is None:
         return row
@@ -536,8 +533,7 @@ def _pick(config: StudyConfig, problem: PickProblem) -> Row:
         key = one.limb, int(frames[robot.frame_number(one.link)].parentJoint)
         force_ratio = max(force_ratio, one.force_n / forces[key] if key in forces else math.inf)
         stress_ratio = max(stress_ratio, one.stress_mpa / stresses[key] if stresses.get(key) else 0.0)
-    grasp_s = result.picked_fruit[problem.fruit]
-    moved, bound = trees.displacement_at(problem.fruit, grasp_s), result.certificate.goal_displacement_m
+    moved, bound = trees.displacement_at(pick.fruit, pick.picked_s), result.certificate.goal_displacement_m
     return row | {
         "pushes": len(pushes), "contacts": len(trees.contacts), "rigid_contacts": len(executed.contacts),
         "tracking_mrad": 1e3 * max(executed.max_tracking_error_rad),
@@ -571,7 +567,7 @@ WOOD_PICKS = Study(
             "knocked_off",
         ),
     ),
-    problems=_picks,
+    problems=_pushes,
     by="tree",
     count=(30, 1),
     needs=("trees",),

@@ -15,6 +15,7 @@ from hplan.errors import (
     NoPathError,
     NotFoundError,
     NotInTimeError,
+    OptionError,
     PlanCancelledError,
     TimingError,
     UnreachableError,
@@ -76,6 +77,17 @@ def test_reachable_agrees_with_plan(arm: Robot) -> None:
                 assert one.obstacle in one.detail
             seen.append(reason)
     assert set(seen) == {None, "out_of_reach", "blocked"}
+
+
+def test_some_fruits_are_checked_alone(arm: Robot) -> None:
+    scene = canopy(0)
+    every, some = hplan.reachable(arm, scene), hplan.reachable(arm, scene, fruits=["apple 5", "apple 2"])
+    assert [(name, found.reason) for name, found in some.items()] == [
+        (name, every[name].reason) for name in ("apple 2", "apple 5")
+    ]
+    for wrong in (["pear"], ["apple 1", "apple 1"], []):
+        with pytest.raises(OptionError, match="fruits"):
+            hplan.reachable(arm, scene, fruits=wrong)
 
 
 def test_motions_are_planned_only_on_request(robot: Robot) -> None:

@@ -16,6 +16,7 @@ from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.certificate.certificate import Certificate, Stretch, all_of, certify_among, stretches
 from hplan.certificate.limb_loads import gentle_speeds
 from hplan.certificate.limit_use import LimitUse
+from hplan.collision.compiled_field import ClearanceField
 from hplan.errors import CertificationError, TimingError
 from hplan.optimization.minimize_time import OptimizerEffort, minimize_time
 from hplan.optimization.options import PostprocessOptions
@@ -56,6 +57,8 @@ class Motion(Record):
             parameter is time.
         origin: The source of the polyline.
         search: The grid search that found the polyline; None for none.
+        near: Clearances to what is near an optimized draft, for the optimizer of its blended motion; None for another
+            motion.
     """
 
     name: str
@@ -66,6 +69,7 @@ class Motion(Record):
     path: SplinePath | None = None
     origin: Origin = "none"
     search: GridSearchRecord | None = None
+    near: ClearanceField | None = None
 
     @property
     def reversal(self) -> Motion:
@@ -244,16 +248,22 @@ def sway_of(problem: Problem) -> FloatArray | None:
 
 
 def time_problem(
-    problem: Problem, motion: Trajectory, ends: tuple[BoundaryState, BoundaryState] | None = None
+    problem: Problem,
+    motion: Trajectory,
+    ends: tuple[BoundaryState, BoundaryState] | None = None,
+    near: ClearanceField | None = None,
 ) -> TimeProblem:
     """Constraints of the fastest motion near a given one.
 
     Args:
         ends: Boundary states of the fastest motion; None for rest at both ends.
+        near: Clearances to the obstacles near the motion; None to select them.
     """
-    along = motion.position[np.linspace(0, motion.samples - 1, 33).astype(int)]
+    if near is None:
+        along = motion.position[np.linspace(0, motion.samples - 1, 33).astype(int)]
+        near = near_field(along, problem.field, NEAR_PATH_M)
     return TimeProblem(
-        problem.field, near_field(along, problem.field, NEAR_PATH_M), smoothing_options(problem, problem.margin),
+        problem.field, near, smoothing_options(problem, problem.margin),
         motion_limits(problem), problem.robot.dynamics, problem.options.rate_hz, ends, sway_of(problem),
     )  # fmt: skip
 
@@ -284,7 +294,9 @@ def _optimize(
         for number, motion in motions:
             trajectory, certificate = certify_gently(problem, motion.trajectory(dynamics, rate_hz))
             if _is_usable(problem, certificate):
-                return _transit(problem, polylines[number], motion.path, trajectory, certificate)
+                found = _transit(problem, polylines[number], motion.path, trajectory, certificate)
+                near = next(start.problem.near for start in starts if start.number == number)
+                return replace(found, near=near) if problem.is_draft else found
     return None
 
 

@@ -128,7 +128,7 @@ def _blend_start(plan: Plan, state: BoundaryState) -> Plan | None:
         return None
     ends = state, BoundaryState.of_row(transit, -1)
     with stage("timing"):
-        program = _admitting(time_problem(problem, transit, ends), state)
+        program = _admitting(time_problem(problem, transit, ends, plan.transit.near), state)
         effort = problem.effort.begun
         start: TimedMotion = transit
         if np.abs(transit.velocity[0]).max() > REST:
@@ -143,7 +143,9 @@ def _blend_start(plan: Plan, state: BoundaryState) -> Plan | None:
     certificate = certificate_of(problem, trajectory, rest_to_rest=False)
     if not certificate.verified:
         return None
-    blended = replace(plan.transit, trajectory=trajectory, certificate=certificate, problem=problem, path=spline.path)
+    blended = replace(
+        plan.transit, trajectory=trajectory, certificate=certificate, problem=problem, path=spline.path, near=None
+    )
     return replace(plan, transit=blended)
 
 

@@ -14,11 +14,12 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.errors import CertificationError, NoPathError
 from hplan.planning.motion import Motion, best_of, certificate_of, require_certificate
 from hplan.planning.options import PlanOptions
+from hplan.planning.plan import plan
 from hplan.planning.plans import plans_from_rest
 from hplan.planning.problem import Problem, merge_problems
 from hplan.planning.solver import best_motion, reuse_motion
 from hplan.robot.model import Robot
-from hplan.scene.model import Scene
+from hplan.scene.model import Scene, Start
 from hplan.scene.obstacles import Sphere
 
 START = (0.0, 30.0, 20.0, 20.0)
@@ -117,3 +118,18 @@ def test_draft_is_timed_but_not_verified(robot, scene):
     assert draft.duration > 0.0
     assert not draft.transit.certificate.verified
     assert draft.transit.certificate.violations == ("the motion is a draft",)
+
+
+def test_draft_hands_on_what_is_near_it_and_its_blended_motion_does_not(robot, scene):
+    around = task((0.0, 30.0, 20.0, 20.0), (60.0, 30.0, 20.0, 20.0), [post("post", 30.0, 1.2, 0.0, 2.0, 0.05)])
+    problem = Problem.from_scene(robot, around, PlanOptions(effort="quick"))
+    problem = problem.in_world(problem.world)
+    certified, draft = (best_of(plans_from_rest(replace(problem, is_draft=each))).transit for each in (False, True))
+    assert certified.near is None
+    assert draft.near is not None
+    middle, bodies = draft.path.evaluate(0.5 * draft.path.end), len(problem.field.arm.bodies)
+    distances = [field.link_clearances(middle)[:bodies] for field in (problem.field, draft.near)]
+    np.testing.assert_array_equal(*distances)
+    start = Start(joints_rad=around.start.configuration, velocity_rad_s=(0.2, 0.0, 0.0, 0.0))
+    moving = around.with_values(start=start)
+    assert plan(robot, moving, PlanOptions(effort="quick")).motion.near is None

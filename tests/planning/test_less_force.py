@@ -81,7 +81,7 @@ def test_motions_are_not_slowed_down_without_end(fraction: float, slowed: int, m
     problem, plan = Problem.from_scene(robot(), scene, PlanOptions()), motion_to(PUSHING[0])
     refused, tried = replace(plan.certificate, verified=False), list[float]()
 
-    def refuse(_: Problem, trajectory: Trajectory, *among: Any) -> Certificate:
+    def refuse(_: Problem, trajectory: Trajectory, *among: Any, **options: Any) -> Certificate:
         tried.append(trajectory.duration)
         assert trajectory.takes_over_s is None
         return refused

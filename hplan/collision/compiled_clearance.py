@@ -443,6 +443,7 @@ def body_slopes(
     """
     arm = _placed_arm(q, field)
     bodies, pairs, placed, solids, work = arm.bodies, arm.pairs, arm.placed, arm.solids, arm.work
+    rates = np.empty(len(q))
     for k in range(len(clear)):
         clear[k] = enough
         for m in range(len(joints)):
@@ -468,13 +469,9 @@ def body_slopes(
             for m in range(len(joints)):
                 gradient[k, m] = _righting_rate(arm, k, joints[m], n)
             continue
+        _write_rates(arm, (outer, inner), n, at, rates)
         for m in range(len(joints)):
-            gradient[k, m] = _rate(arm, outer, joints[m], n, at)
-        if inner >= 0:
-            # Joints that carry both bodies do not count, wherever the inner body's nearest point lies along the line.
-            for m in range(len(joints)):
-                if _carries(arm, inner, joints[m]):
-                    gradient[k, m] -= _rate(arm, inner, joints[m], n, at)
+            gradient[k, m] = rates[joints[m]]
 
 
 @kernel
@@ -492,12 +489,6 @@ def _righting_rate(arm: BodyArrays, k: int, joint: int, n: Vector) -> float:
 
 
 @kernel
-def _carries(arm: BodyArrays, b: int, joint: int) -> bool:
-    """True if a joint moves a body."""
-    return _is_beyond(arm, arm.bodies[b].joint, joint)
-
-
-@kernel
 def _is_beyond(arm: BodyArrays, j: int, joint: int) -> bool:
     """True if a joint is j, or carries it."""
     joints = arm.joints
@@ -508,13 +499,33 @@ def _is_beyond(arm: BodyArrays, j: int, joint: int) -> bool:
 
 
 @kernel
-def _rate(arm: BodyArrays, b: int, joint: int, n: Vector, at: Vector) -> float:
-    """Velocity of a body's point along n [m/rad, m/m].
+def _write_rates(arm: BodyArrays, pair: tuple[int, int], n: Vector, at: Vector, rates: FloatArray) -> None:
+    """Write for each joint the velocity of a point along n at unit rate [m/rad, m/m].
 
-    One joint moves at unit rate.
+    Joints that carry both bodies do not count, wherever the inner body's nearest point lies along the line.
+
+    Args:
+        pair: Indices of the body with the point, and of the one relative to which it moves; -1 for an obstacle.
     """
-    if not _carries(arm, b, joint):
-        return 0.0
+    bodies, joints, (outer, inner) = arm.bodies, arm.joints, pair
+    base = len(joints)
+    rates[:] = 0.0
+    i, j = bodies[outer].joint, base
+    if inner >= 0:
+        j = bodies[inner].joint
+    # Parents have lower numbers than the joints that they carry, so both chains meet at the last joint of both.
+    while i != j:
+        if j == base or (i != base and i > j):
+            rates[i] = _rate(arm, i, n, at)
+            i = joints[i].parent
+        else:
+            rates[j] = -_rate(arm, j, n, at)
+            j = joints[j].parent
+
+
+@kernel
+def _rate(arm: BodyArrays, joint: int, n: Vector, at: Vector) -> float:
+    """Velocity along n of a point that a joint moves at unit rate [m/rad, m/m]."""
     own, frames = arm.joints[joint], arm.frames
     if own.slides:
         below, shift, rate = own.parent, own.shift, 0.0

@@ -4,6 +4,7 @@ A contact of the depth d with a limb exerts at most the static force f of that d
 Becoming deeper by :math:`\delta` in all, it does the work :math:`W \le \int f(d)\, dd + I \delta`. One with a fruit of
 the mass m throws it ahead as well, with at most twice the speed v of the link: it adds at most :math:`2 m v^2`. All
 contacts with limbs and fruit that share the first bending segment from the clamp add up: what they displace is coupled.
+So do those with other limbs and fruit that may be pressed against these (`hplan.scene.limb_depths`).
 
 With the largest eigenvalue :math:`\lambda` of the compliance of limb and pendulum at the fruit, a displacement x of the
 fruit takes at least the energy :math:`|x|^2 / 2 \lambda`. Contacts that last until the grasp, swinging fruit and limbs
@@ -121,8 +122,8 @@ def displacement_at(contacts: SegmentContacts, grasp: Grasp) -> float:
         return 0.0
     own = np.array([name == grasp.name for name in contacts.obstacles], dtype=np.bool_)
     is_own = own[contacts.rows["obstacle"][loads.row]]
-    related = is_own | ((loads.root == grasp.fruit.root) & (grasp.fruit.root >= 0))
-    kept = np.flatnonzero(related & (contacts.rows["begin_s"][loads.row] <= grasp.time_s))
+    is_on, is_beside = contacts.displacing(grasp.fruit.root, grasp.name)
+    kept = np.flatnonzero((is_on | is_beside) & (contacts.rows["begin_s"][loads.row] <= grasp.time_s))
     if not len(kept):
         return 0.0
     rows, is_own, is_fruit = contacts.rows[loads.row[kept]], is_own[kept], loads.is_fruit[kept]
@@ -138,7 +139,8 @@ def displacement_at(contacts: SegmentContacts, grasp: Grasp) -> float:
     first = np.flatnonzero(starts)
     deeper = np.maximum(depth - np.where(starts, 0.0, np.append(0.0, depth[:-1])), 0.0)
     thrown = 2.0 * loads.mass[kept][order] * np.where(rows["whole_depth"] > 0.0, rows["speed"], 0.0) ** 2
-    pressed = np.where(is_fruit, loads.static[kept][order], loads.pressed[kept][order])
+    # The rest is work on the wood that the fruit hangs from.
+    pressed = np.where(is_fruit | is_beside[kept][order], loads.static[kept][order], loads.pressed[kept][order])
     elastic, pressed, impact, thrown = (
         np.maximum.reduceat(values, span)
         for values in (loads.static[kept][order] - pressed, pressed, loads.impact[kept][order], thrown)
@@ -149,7 +151,8 @@ def displacement_at(contacts: SegmentContacts, grasp: Grasp) -> float:
     until_s = np.maximum.reduceat(end_s, first)
     lasts = is_own[span][first] & (until_s >= grasp.touched_s - _TOUCHING_S)
     ago_s = np.where(lasts, 0.0, np.maximum(0.0, grasp.time_s - until_s))
-    left = np.minimum(1.0, _SLOWEST_DECAY * np.exp(-2.0 * grasp.fruit.decay_rate * ago_s))
+    rate = np.minimum(grasp.fruit.decay_rate, loads.decay_rate[kept][order][span][first])
+    left = np.minimum(1.0, _SLOWEST_DECAY * np.exp(-2.0 * rate * ago_s))
     return point.displacement_by_work(float((of_wood * left).sum()), float((others * left).sum()))
 
 

@@ -31,7 +31,7 @@ CONTACT: Final = np.dtype([
 #: Fields of `ContactLimit` that loads depend on.
 _LIMIT: Final = (
     *("force", "stress", "segment", "root", "impact", "impact_stress", "swing"),
-    *("most_force", "most_stress", "pressed", "mass"),
+    *("most_force", "most_stress", "pressed", "mass", "decay_rate"),
 )
 
 
@@ -74,6 +74,7 @@ class Loads(NamedTuple):
         segment: (k,) limb segment, or the one that a fruit hangs from.
         root: (k,) first bending segment from the clamp; -1 for fruit on wood that does not bend.
         mass: (k,) mass of fruit [kg]; 0 for limbs.
+        decay_rate: (k,) minimum rate at which the fruit, or all on limbs with its root, come to rest [1/s].
     """
 
     row: IntArray
@@ -87,6 +88,7 @@ class Loads(NamedTuple):
     segment: IntArray
     root: IntArray
     mass: FloatArray
+    decay_rate: FloatArray
 
     @property
     def is_fruit(self) -> BoolArray:
@@ -208,7 +210,24 @@ class SegmentContacts(Record):
             row, share * columns["force"], share * columns["pressed"], impact, share * columns["stress"],
             columns["impact_stress"] * speed, columns["most_force"], columns["most_stress"],
             columns["segment"].astype(np.int64), columns["root"].astype(np.int64), columns["mass"],
+            columns["decay_rate"],
         )  # fmt: skip
+
+    def displacing(self, root: int, fruit: str) -> tuple[BoolArray, BoolArray]:
+        """Masks of `loads`: contacts with the limb of a root or on it, and those that press others against it.
+
+        Args:
+            root: The first bending segment from the clamp; -1 for none.
+            fruit: Name of a fruit on it, which counts as well.
+        """
+        limits = self.limits
+        presses = np.array([
+            limit is not None and (root in limit.roots or fruit in limit.fruits) for limit in limits
+        ], dtype=np.bool_)  # fmt: skip
+        named = np.array([name == fruit for name in self.obstacles], dtype=np.bool_)
+        rows = self.rows[self.loads.row]
+        is_on = named[rows["obstacle"]] | ((self.loads.root == root) & (root >= 0))
+        return is_on, presses[rows["limit"]] & ~is_on
 
     @cached_property
     def stresses(self) -> RootStresses:

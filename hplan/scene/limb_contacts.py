@@ -93,7 +93,9 @@ def _contact_solids(obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood
     for segment, mass in zip(hanging.segment.tolist(), hanging.mass.tolist(), strict=True):
         carried[roots[segment]] = carried.get(roots[segment], 0.0) + mass
     found, decays = dict[str, tuple[Solid, ...]](), _decay_rates(limbs, hanging, wood)
-    limits = limits_by_segment(limbs, wood)
+    limits, slowest = limits_by_segment(limbs, wood), dict[int, float]()
+    for segment, rate in zip(hanging.segment.tolist(), decays, strict=True):
+        slowest[roots[segment]] = min(rate, slowest.get(roots[segment], math.inf))
     for pushables in (divide_limbs(limbs, wood), hanging):
         table = permitted_contacts(pushables, limbs, hanging, stiff, wood)
         extension = table.extension[:, None] * pushables.stiff_axis
@@ -102,7 +104,7 @@ def _contact_solids(obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood
             depth, segment = float(table.depth[row]), int(pushables.segment[row])
             low, high = pushables.along[row].tolist()
             swing = float(pushables.swing[row])
-            point, decay, most_force = None, 0.0, float(limits.force[segment])
+            point, decay, most_force = None, slowest.get(roots[segment], math.inf), float(limits.force[segment])
             modulus = float(limits.softest[segment]), float(limits.stiffest[segment])
             if swing > 0.0:
                 pendulum = _pendulum_compliance(pushables, row)
@@ -113,7 +115,7 @@ def _contact_solids(obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood
                 *_impact(limbs, segment, swing, float(pushables.mass[row]), carried.get(roots[segment], 0.0), wood),
                 most_force, float(limits.stress[segment]), point, decay, wood.capture_range,
                 float(table.stiffness[row] / limits.stiffest[segment]), float(table.pressed[row]),
-                float(pushables.mass[row]),
+                float(pushables.mass[row]), table.roots[row], table.fruits[row],
             )  # fmt: skip
             solid = _TEMPLATE.copy_unchecked({
                 "name": name, "start": tuple(starts[row]), "end": tuple(ends[row]),

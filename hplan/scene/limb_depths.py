@@ -7,7 +7,7 @@ a neighbour with the compliance :math:`c_2` adds :math:`(\delta - g) / c_2`, and
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -33,6 +33,8 @@ class PermittedContacts(NamedTuple):
         pressed: (k,) the part of it by neighbours [N].
         stress: (k,) static stress of the limb at that depth [Pa].
         stiffness: (k,) upper bound of force times deflection per squared depth of parts of limbs [N/m]; 0 for fruit.
+        roots: The roots of neighbours' limbs, of each pushable.
+        fruits: The names of neighbouring fruit, of each pushable.
     """
 
     depth: FloatArray
@@ -41,6 +43,8 @@ class PermittedContacts(NamedTuple):
     pressed: FloatArray
     stress: FloatArray
     stiffness: FloatArray
+    roots: list[frozenset[int]]
+    fruits: list[frozenset[str]]
 
 
 def permitted_contacts(
@@ -75,7 +79,14 @@ def permitted_contacts(
     pressing = np.multiply(found.stiffness, pushed_on, where=pushed_on > 0.0, out=np.zeros(len(pushed_on)))
     squeezed = np.bincount(found.pushable, pressing, count).astype(np.float64)
     extension = np.divide(lengths * depth, whole, out=np.zeros(count), where=whole > 0.0)
-    return PermittedContacts(depth, extension, force + squeezed, squeezed, force * pushables.stress, stiffness)
+    roots, fruits = ([frozenset[Any]()] * count for _ in range(2))
+    for row in np.unique(found.pushable[pushed_on > 0.0]).tolist():
+        mine = found.at((found.pushable == row) & (pushed_on > 0.0))
+        roots[row] = frozenset(mine.root[mine.root >= 0].tolist())
+        fruits[row] = frozenset(hanging.names[fruit] for fruit in mine.fruit[mine.fruit >= 0].tolist())
+    return PermittedContacts(
+        depth, extension, force + squeezed, squeezed, force * pushables.stress, stiffness, roots, fruits
+    )
 
 
 class Neighbours(NamedTuple):
@@ -86,16 +97,23 @@ class Neighbours(NamedTuple):
         gap: (m,) gap between both [m].
         stiffness: (m,) stiffness of the neighbour [N/m]; inf if it is rigid.
         depth: (m,) maximum deflection of the neighbour [m].
+        root: (m,) first bending segment of its limb from the clamp, or of that which it hangs from; -1 without one.
+        fruit: (m,) number of a fruit; -1 for others.
     """
 
     pushable: IntArray
     gap: FloatArray
     stiffness: FloatArray
     depth: FloatArray
+    root: IntArray
+    fruit: IntArray
 
     def at(self, kept: BoolArray | IntArray) -> Neighbours:
         """Those of a mask or of some numbers."""
-        return Neighbours(self.pushable[kept], self.gap[kept], self.stiffness[kept], self.depth[kept])
+        return Neighbours(
+            self.pushable[kept], self.gap[kept], self.stiffness[kept], self.depth[kept], self.root[kept],
+            self.fruit[kept],
+        )  # fmt: skip
 
 
 def _squeezed_depth(most: float, per_depth: float, limit: float, neighbours: Neighbours) -> float:
@@ -131,15 +149,16 @@ def _pressed_farther_out(
     pair, row = pair[touches], row[touches]
     ratio = carried.ratio[pair]
     return Neighbours(
-        carried.pushed[pair], near.gap[row] / ratio, near.stiffness[row] * ratio**2, near.depth[row] / ratio
-    )
+        carried.pushed[pair], near.gap[row] / ratio, near.stiffness[row] * ratio**2, near.depth[row] / ratio,
+        near.root[row], near.fruit[row],
+    )  # fmt: skip
 
 
 def _neighbours(
     pushables: Pushables, depth: FloatArray, limbs: Limbs, hanging: Pushables, stiff: Sequence[Solid], wood: Wood
 ) -> Neighbours:
     """Obstacles within the depth of pushed limbs or fruit, but for the limbs that they grow from and those on them."""
-    related = limbs.related()[pushables.segment]
+    related, roots = limbs.related()[pushables.segment], limbs.roots()
     moved = np.flatnonzero(depth >= LEAST_DEPTH_M)
     found = list[Neighbours]()
     start, end = pushables.start, pushables.end
@@ -159,20 +178,21 @@ def _neighbours(
         soft[limbs.clamped[other]] = 0.0
         stiffness = np.divide(1.0, soft, out=np.full(len(soft), np.inf), where=soft > 1e-12)
         room = np.where(soft > 1e-12, np.minimum(point.force * soft, point.depth), 0.0)
-        found.append(Neighbours(row, gap, stiffness, room))
-        found.append(_fruit_neighbours(pushables, rows, depth, hanging, related))
+        found.append(Neighbours(row, gap, stiffness, room, roots[other], np.full(len(row), -1)))
+        found.append(_fruit_neighbours(pushables, rows, depth, hanging, related, roots))
         for solid in stiff:
             gap = _solid_distance(start[rows], end[rows], solid) - pushables.radius[rows]
             near = gap < depth[rows]
-            rigid = np.full(int(near.sum()), np.inf)
-            found.append(Neighbours(rows[near], np.maximum(0.0, gap[near]), rigid, np.zeros(len(rigid))))
+            rigid, none = np.full(int(near.sum()), np.inf), np.full(int(near.sum()), -1)
+            found.append(Neighbours(rows[near], np.maximum(0.0, gap[near]), rigid, np.zeros(len(rigid)), none, none))
     if not found:
-        return Neighbours(np.zeros(0, dtype=np.int64), *(np.zeros(0) for _ in range(3)))
+        none = np.zeros(0, dtype=np.int64)
+        return Neighbours(none, np.zeros(0), np.zeros(0), np.zeros(0), none, none)
     return Neighbours(*(np.concatenate(columns) for columns in zip(*found, strict=True)))
 
 
 def _fruit_neighbours(
-    pushables: Pushables, rows: IntArray, depth: FloatArray, hanging: Pushables, related: BoolArray
+    pushables: Pushables, rows: IntArray, depth: FloatArray, hanging: Pushables, related: BoolArray, roots: IntArray
 ) -> Neighbours:
     """Fruit within the depth of pushed limbs or other fruit, but for the fruit on the pushed limbs."""
     start, along = pushables.start[rows], (pushables.end - pushables.start)[rows]
@@ -187,7 +207,9 @@ def _fruit_neighbours(
     direction = apart[row, other] / np.maximum(distance[row, other], TINY)[:, None]
     soft = 0.5 * np.einsum("mi,mij,mj->m", direction, hanging.compliance[0][other], direction)
     room = np.minimum(hanging.force[other] * soft, hanging.depth[other])
-    return Neighbours(rows[row], gap[row, other], 1.0 / np.maximum(soft, TINY), room)
+    return Neighbours(
+        rows[row], gap[row, other], 1.0 / np.maximum(soft, TINY), room, roots[hanging.segment[other]], other
+    )
 
 
 def _solid_distance(start: FloatArray, end: FloatArray, solid: Solid) -> FloatArray:

@@ -170,12 +170,15 @@ class ContactLimit(NamedTuple):
         most_force: Allowed force [N].
         most_stress: Allowed bending stress [Pa].
         displacement: For a fruit the point that it hangs from, which is displaced by other contacts; None for limbs.
-        decay_rate: For a fruit the minimum rate at which it comes to rest after its limb was displaced [1/s].
+        decay_rate: Minimum rate at which a fruit comes to rest after its limb was displaced, or for a part of a limb
+            all fruit on limbs with its root [1/s]; infinite without fruit.
         capture_range: Allowed displacement of a fruit that is grasped [m].
         stiffness_per_pa: For a part of a limb the upper bound of force times deflection per squared depth, whatever the
             normal of the contact, per pascal of Young's modulus [m] (`hplan.scene.limb_sweeps`).
         pressed: The part of `force` by neighbours that limb or fruit is pressed against [N].
         mass: Mass of a fruit [kg]; 0 for limbs.
+        roots: Roots, as `root`, of other limbs that limb or fruit is pressed against.
+        fruits: Names of fruit that limb or fruit is pressed against.
     """
 
     depth: float
@@ -196,6 +199,8 @@ class ContactLimit(NamedTuple):
     stiffness_per_pa: float
     pressed: float
     mass: float
+    roots: frozenset[int] = frozenset()
+    fruits: frozenset[str] = frozenset()
 
 
 #: Links that a solid counts for: all, those that may push compliant obstacles, or the others.

@@ -345,6 +345,28 @@ def test_what_one_part_does_counts_for_a_later_grasp(plans: list[PlanResult]) ->
     assert "by up to 31 mm at the grasp; allowed: 20 mm" in words
 
 
+def test_the_goal_moves_with_a_limb_that_is_pressed_against_its_own() -> None:
+    trunk = Capsule(name="trunk", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, 2.0), radius=0.03)
+    twig = Capsule(name="twig", start=(0.0, 0.0, 1.0), end=(0.4, 0.0, 1.0), radius=0.004, parent="trunk")
+    apple = hplan.scene.Fruit(name="apple", center=(0.35, 0.0, 0.95), radius=0.04)
+    at = hplan.scene.Start(joints_deg=(0.0, 90.0, 90.0, 90.0)), hplan.scene.Goal(fruit="apple")
+    for gap, moves in ((0.004, True), (0.3, False)):
+        height = 1.008 + gap
+        other = Capsule(
+            name="other", start=(0.0, 0.0, height), end=(0.4, 0.0, height), radius=0.004, parent="trunk"
+        )  # fmt: skip
+        scene = Scene(name="two", start=at[0], goal=at[1], obstacles=(trunk, twig, other), fruits=(apple,), wood=Wood())
+        limits = {solid.name: solid.contact_limit for solid in scene.listed_solids if solid.contact_limit is not None}
+        assert limits["other"].root != limits["apple"].root
+        assert (limits["apple"].root in limits["other"].roots) is moves
+        found = displacement_at(contacts_of(limits["other"], name="other"), Grasp("apple", limits["apple"], 1.0, 1.05))
+        assert (found > 1e-3) is moves
+        # A fruit on wood that does not bend is displaced by what is pressed against itself.
+        beside = limits["other"]._replace(roots=frozenset(), fruits=frozenset({"apple"} if moves else ()))
+        found = displacement_at(contacts_of(beside, name="other"), Grasp("apple", limits["apple"], 1.0, 1.05))
+        assert (found > 1e-3) is moves
+
+
 def test_the_goal_moves_with_other_fruit_on_its_limb() -> None:
     trunk = Capsule(name="trunk", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, 2.0), radius=0.03)
     twig = Capsule(name="twig", start=(0.0, 0.0, 1.0), end=(0.4, 0.0, 1.0), radius=0.004, parent="trunk")

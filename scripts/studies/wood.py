@@ -476,6 +476,9 @@ PICK_AMONG = 24
 #: Time before the first contact from which on picks are simulated [s].
 PICK_BEFORE_S = 0.1
 
+#: Displacements of less are rounding errors of the simulation [m].
+ROUNDING_M = 1e-9
+
 #: Tracking error that picks allow for [rad], and the simulated controller.
 PICK_TRACKING_RAD, PICK_PLANT = 2e-5, Plant(bandwidth=200.0, decoupled=True)
 
@@ -546,7 +549,7 @@ def _pick(config: StudyConfig, problem: TreePush) -> Row | None:
         "within_limits": trees.ok and not executed.contacts,
         "fault": bool(
             row.get("fault") or force_ratio > 1.0 or stress_ratio > 1.0 or executed.contacts or trees.broken
-            or trees.knocked_off or (moved is not None and bound is not None and moved > bound)
+            or trees.knocked_off or (moved is not None and bound is not None and moved > bound + ROUNDING_M)
         ),
     }  # fmt: skip
 

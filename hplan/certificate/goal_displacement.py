@@ -23,12 +23,14 @@ it in without pushing it. Without an approach the last link may touch the fruit 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from hplan.base import ties
+from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.certificate.clearance_curve import ProvedMotion, Subject
 from hplan.certificate.goal_contact import REST
 from hplan.certificate.segment_contacts import SegmentContacts
@@ -117,15 +119,53 @@ def displacement_at(contacts: SegmentContacts, grasp: Grasp) -> float:
         contacts: Contacts within single segments of a motion.
         grasp: The grasp.
     """
+    found = _squares_at(contacts, grasp)
+    return math.sqrt(found.still + found.moving)
+
+
+def contacts_to_slow(subject: Subject) -> tuple[IntArray, FloatArray] | None:
+    """Contacts whose speed displaces a grasped fruit beyond the capture range.
+
+    Returns:
+        (k,) their numbers in `subject.pushes_by_segment`, and (k,) the fractions of their speeds at which the fruit
+        stays within the range; None if it does not at any speed.
+    """
+    rows, fractions = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
+    for grasp in grasps_in(subject):
+        found, allowed = _squares_at(subject.pushes_by_segment, grasp), grasp.fruit.capture_range**2
+        if found.still >= allowed:
+            return None
+        if found.still + found.moving > allowed:
+            # Impacts do work in proportion to the speed, fruit that are thrown have energy in proportion to its square.
+            rows.append(found.rows)
+            fractions.append(np.full(len(found.rows), (allowed - found.still) / found.moving))
+    return np.concatenate(rows), np.concatenate(fractions)
+
+
+class _Squares(NamedTuple):
+    """Parts of the squared displacement of a fruit at its grasp.
+
+    Attributes:
+        still: The part of static forces [m^2].
+        moving: The part of the speed of contacts [m^2].
+        rows: (k,) numbers of the contacts that displace it.
+    """
+
+    still: float = 0.0
+    moving: float = 0.0
+    rows: IntArray = frozen(np.zeros(0, dtype=np.int64))
+
+
+def _squares_at(contacts: SegmentContacts, grasp: Grasp) -> _Squares:
     point, loads = grasp.fruit.displacement, contacts.loads
     if point is None or not len(loads.row):
-        return 0.0
+        return _Squares()
     own = np.array([name == grasp.name for name in contacts.obstacles], dtype=np.bool_)
     is_own = own[contacts.rows["obstacle"][loads.row]]
     is_on, is_beside = contacts.displacing(grasp.fruit.root, grasp.name)
     kept = np.flatnonzero((is_on | is_beside) & (contacts.rows["begin_s"][loads.row] <= grasp.time_s))
     if not len(kept):
-        return 0.0
+        return _Squares()
     rows, is_own, is_fruit = contacts.rows[loads.row[kept]], is_own[kept], loads.is_fruit[kept]
     bodies = np.stack([rows["link"], loads.segment[kept], np.where(is_fruit, rows["obstacle"], -1)])
     order = np.lexsort((rows["begin_s"], *bodies))
@@ -146,14 +186,16 @@ def displacement_at(contacts: SegmentContacts, grasp: Grasp) -> float:
         for values in (loads.static[kept][order] - pressed, pressed, loads.impact[kept][order], thrown)
     )
     of_wood = np.add.reduceat(elastic * deeper, first)
-    others = np.add.reduceat(pressed * deeper, first) + np.maximum.reduceat(thrown, first)
-    others += np.maximum.reduceat(impact, first) * np.add.reduceat(deeper, first)
+    others = np.add.reduceat(pressed * deeper, first)
+    moving = np.maximum.reduceat(impact, first) * np.add.reduceat(deeper, first) + np.maximum.reduceat(thrown, first)
     until_s = np.maximum.reduceat(end_s, first)
     lasts = is_own[span][first] & (until_s >= grasp.touched_s - _TOUCHING_S)
     ago_s = np.where(lasts, 0.0, np.maximum(0.0, grasp.time_s - until_s))
     rate = np.minimum(grasp.fruit.decay_rate, loads.decay_rate[kept][order][span][first])
     left = np.minimum(1.0, _SLOWEST_DECAY * np.exp(-2.0 * rate * ago_s))
-    return point.displacement_by_work(float((of_wood * left).sum()), float((others * left).sum()))
+    # The squared displacement is linear in the work.
+    still = point.displacement_by_work(float((of_wood * left).sum()), float((others * left).sum()))
+    return _Squares(still**2, point.displacement_by_work(0.0, float((moving * left).sum())) ** 2, loads.row[kept])
 
 
 #: Contacts with one limb that are less than this apart are one [s].

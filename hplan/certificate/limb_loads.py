@@ -130,13 +130,16 @@ def shared_limb_violations(contacts: Mapping[str, SegmentContacts]) -> Iterator[
                 break
 
 
-def gentle_speeds(contacts: SegmentContacts, duration_s: float, ease_s: float) -> FloatArray | None:
+def gentle_speeds(
+    contacts: SegmentContacts, duration_s: float, ease_s: float, slower: tuple[IntArray, FloatArray] | None = None
+) -> FloatArray | None:
     """Fractions of a motion's speed over time with which impacts keep the limits of force and stress.
 
     Args:
         contacts: Contacts within single segments of the motion.
         duration_s: Its duration [s].
         ease_s: Time before and after a contact with the reduced speed, for braking [s].
+        slower: (k,) numbers of contacts, and (k,) fractions of their speeds that other limits allow.
 
     Returns:
         (n, 2) times [s] and fractions, as for `Trajectory.scale_speed`; None if the motion need not be slower, or if no
@@ -150,9 +153,11 @@ def gentle_speeds(contacts: SegmentContacts, duration_s: float, ease_s: float) -
     left = stresses.most - (stresses.stress - stresses.impact)
     bending = np.flatnonzero(stresses.impact > left)
     fraction = np.append(fraction, np.maximum(0.0, left[bending]) / stresses.impact[bending])
+    rows = loads.row[np.append(hard, stresses.order[stresses.first[bending]]).astype(np.int64)]
+    if slower is not None:
+        rows, fraction = np.append(rows, slower[0]), np.append(fraction, slower[1])
     if not len(fraction) or fraction.min() < _SLOWEST:
         return None
-    rows = loads.row[np.append(hard, stresses.order[stresses.first[bending]]).astype(np.int64)]
     begin_s, end_s = contacts.rows["begin_s"][rows] - ease_s, contacts.rows["end_s"][rows] + ease_s
     times = np.linspace(0.0, duration_s, max(2, round(duration_s / _SPEED_STEP_S) + 1))
     near = (times[:, None] >= begin_s) & (times[:, None] <= end_s)

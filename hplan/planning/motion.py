@@ -14,6 +14,7 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.certificate.certificate import Certificate, Stretch, all_of, certify_among, stretches
+from hplan.certificate.goal_displacement import contacts_to_slow
 from hplan.certificate.limb_loads import gentle_speeds
 from hplan.certificate.limit_use import LimitUse
 from hplan.collision.compiled_field import ClearanceField
@@ -381,23 +382,20 @@ def certify_gently(
     quick = trajectory
     certificate = certificate_of(problem, quick, None if among is None else among(quick), measured=measured)
     for ease_s in _EASE_S:
-        if certificate.verified or _moves_goal_too_far(problem, certificate):
+        if certificate.verified or certificate.subject is None:
             break
-        speeds = gentle_speeds(certificate.pushes_by_segment, trajectory.duration, ease_s)
+        slower = contacts_to_slow(certificate.subject)
+        if slower is None:
+            break
+        speeds = gentle_speeds(certificate.pushes_by_segment, trajectory.duration, ease_s, slower)
         if speeds is None or np.trapezoid(1.0 / speeds[:, 1], speeds[:, 0]) > _MOST_SLOWED * quick.duration:
             break
         with suppress(TimingError):
             # It begins where the motion does, and takes over from no running one.
-            slower = replace(trajectory.scale_speed(speeds, problem.robot), takes_over_s=quick.takes_over_s)
-            found = certificate_of(problem, slower, None if among is None else among(slower))
-            trajectory, certificate = slower, found
+            gentle = replace(trajectory.scale_speed(speeds, problem.robot), takes_over_s=quick.takes_over_s)
+            found = certificate_of(problem, gentle, None if among is None else among(gentle))
+            trajectory, certificate = gentle, found
     return (trajectory if certificate.verified else quick), certificate
-
-
-def _moves_goal_too_far(problem: Problem, certificate: Certificate) -> bool:
-    """True if pushed limbs may displace the goal fruit beyond the capture range: lower speeds hardly change that."""
-    wood, displacement = problem.scene.wood, certificate.goal_displacement_m
-    return wood is not None and displacement is not None and displacement > wood.capture_range
 
 
 #: Maximum duration of a motion that is slowed down for impacts, as a multiple of the quickest one on its path.

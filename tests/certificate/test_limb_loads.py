@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from itertools import product
+from types import SimpleNamespace
+from typing import Any, cast
 
 import coal
 import numpy as np
@@ -11,9 +13,12 @@ import pinocchio as pin
 import pytest
 
 import hplan
+from hplan.base.arrays import FloatArray, IntArray
+from hplan.certificate import goal_displacement as goal_displacement_module
 from hplan.certificate.goal_displacement import (
     Grasp,
     capture_violations,
+    contacts_to_slow,
     displacement_at,
     goal_displacement,
 )
@@ -332,6 +337,28 @@ def test_the_push_of_a_fruit_counts_until_its_grasp() -> None:
     # Nothing of that depends on the hand being above the fruit, within the extended part only.
     above = contacts_of(apple, share=0.5, speed=0.3, name="apple")
     assert displacement_at(above, Grasp("apple", apple, 1.1, 3.0)) == 0.0
+
+
+def test_contacts_that_displace_the_goal_by_their_speed_are_slowed(monkeypatch: pytest.MonkeyPatch) -> None:
+    apple, subject = hanging_apple(), SimpleNamespace()
+    grasp = Grasp("apple", apple, 1.1, 3.0)
+    monkeypatch.setattr(goal_displacement_module, "grasps_in", lambda _: [grasp])
+
+    def displaced(share: float, speed: float) -> tuple[float, tuple[IntArray, FloatArray] | None]:
+        subject.pushes_by_segment = contacts_of(apple, share=share, speed=speed, name="apple", whole_depth=share * 0.01)
+        return displacement_at(subject.pushes_by_segment, grasp), contacts_to_slow(cast(Any, subject))
+
+    most, speed = apple.capture_range, 0.4
+    moved, slower = displaced(0.05, speed)
+    assert moved > most
+    assert slower is not None
+    assert slower[0].tolist() == [0]
+    assert displaced(0.05, speed * slower[1][0])[0] <= most * (1.0 + 1e-9)
+    moved, slower = displaced(0.05, 0.0)
+    assert moved < most
+    assert slower is not None
+    assert not len(slower[0])
+    assert displaced(1.0, 0.0)[1] is None
 
 
 def test_what_one_part_does_counts_for_a_later_grasp(plans: list[PlanResult]) -> None:

@@ -86,7 +86,7 @@ def test_motions_are_not_slowed_down_without_end(fraction: float, slowed: int, m
         assert trajectory.takes_over_s is None
         return refused
 
-    def slow_down(_: Any, duration_s: float, ease_s: float) -> FloatArray:
+    def slow_down(_: Any, duration_s: float, *others: Any) -> FloatArray:
         return np.array([[0.0, 1.0], [0.2, 1.0], [0.4, fraction], [duration_s, fraction]])
 
     monkeypatch.setattr(motion, "certificate_of", refuse)

@@ -16,7 +16,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -54,10 +53,6 @@ class SplicedResult(PlanResult):
 
     seam_s: float = 0.0
     is_kept: bool = False
-
-
-#: What a certificate of a motion assumes of a scene.
-_SURROUNDINGS: Final = tuple(key for key in Scene.model_fields if key not in ("name", "start", "goal", "locked_joints"))
 
 
 def _state_at(trajectory: Trajectory, row: int) -> Start:
@@ -238,7 +233,7 @@ class RunningMotion:
             plan.certificate.verified
             and not scene.moves
             and (before.certified_tracking, before.sigmas) == (now.certified_tracking, now.sigmas)
-            and all(getattr(plan.scene, key) == getattr(scene, key) for key in _SURROUNDINGS)
+            and plan.scene.surroundings == scene.surroundings
         )
 
     def _may_stay(self) -> bool:

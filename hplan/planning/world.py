@@ -116,16 +116,17 @@ class World(Record):
         # Without required certification, no clearance is reserved for tracking errors; motions are certified anyway.
         tracking_error = options.tracking.still_rad
         leaving, upright = leaving_of(robot, scene), UprightTool.of_scene(robot, scene)
-        solids = scene.solids_with_goal
-        key = solids, scene.clearance, tracking_error, options.sigmas, scene.yield_links, leaving, upright
+        # The solids of a scene, hundreds of objects, are listed for a new world only. A goal among wood is rigid.
+        goal = None if scene.wood is None else scene.goal.fruit
+        key = scene.surroundings, goal, tracking_error, options.sigmas, leaving, upright
         check_deadline()
         kept: deque[tuple[object, World]] = robot.cache("worlds", lambda: deque(maxlen=2))
         for known, world in tuple(kept):
             if known == key:
                 return world
         world = cls.build(
-            robot, solids, clearance=scene.clearance, tracking_error=tracking_error, sigmas=options.sigmas,
-            yield_links=scene.yield_links, leaving=leaving, upright=upright,
+            robot, scene.solids_with_goal, clearance=scene.clearance, tracking_error=tracking_error,
+            sigmas=options.sigmas, yield_links=scene.yield_links, leaving=leaving, upright=upright,
         )  # fmt: skip
         kept.append((key, world))
         return world

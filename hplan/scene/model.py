@@ -410,6 +410,12 @@ class Scene(StrictModel):
         return self.copy_unchecked({"goal": self.goal.copy_unchecked({"fruit": None})}) if self.goal.fruit else self
 
     @property
+    def surroundings(self) -> tuple[Any, ...]:
+        """All values but the name and the task (start, goal and locked joints)."""
+        task = "name", "start", "goal", "locked_joints"
+        return tuple(getattr(self, key) for key in type(self).model_fields if key not in task)
+
+    @property
     def solids(self) -> tuple[Solid, ...]:
         """Solids that the arm must avoid: obstacles and fruits except the goal.
 

@@ -20,11 +20,13 @@ from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.planar.family_reader import family_of, with_planar_arm
 from hplan.planar.grid.sections import sections_at
 from hplan.planar.grids import prepare_world
+from hplan.planning.options import PlanOptions
 from hplan.planning.problem import Problem
 from hplan.planning.world import BASE_DEPTH, World, without_inside
 from hplan.robot.family.members import write_robot
 from hplan.robot.family.spec import ArmSpec
 from hplan.robot.model import Robot, load_robot
+from hplan.scene import load_scene, with_limbs
 from hplan.scene.fruit import Fruit
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, PointCloud, Sphere
@@ -314,3 +316,19 @@ def test_in_collision(robot: Robot, scene: Scene, which: str, center: Any, link:
         pose(robot, scene, obstacles=(ball,))
     assert (error.value.which, error.value.link, error.value.obstacle) == (which, link, "ball")
     assert error.value.depth_m > 0.1
+
+
+def test_scenes_with_the_same_solids_share_a_world(robot: Robot) -> None:
+    scene, options = load_scene("dense-canopy"), PlanOptions()
+    world = World.of_scene(robot, scene, options)
+    other = Goal(fruit=next(fruit.name for fruit in scene.fruits if fruit.name != scene.goal.fruit))
+    assert World.of_scene(robot, scene.with_values(name="again", goal=other), options) is world
+    assert World.of_scene(robot, scene, options.with_values(tracking_error=1e-3)) is not world
+    for changed in (scene.with_obstacles(scene.obstacles[1:]), scene.with_values(clearance=scene.clearance + 1e-3)):
+        assert World.of_scene(robot, changed, options) is not world
+    # Among limbs that bend, the goal fruit is another solid than the others.
+    bending = with_limbs(scene)
+    world = World.of_scene(robot, bending, options)
+    assert World.of_scene(robot, bending.with_values(goal=other), options) is not world
+    for problem in (bending, bending.with_values(goal=other)):
+        assert World.of_scene(robot, problem, options).solids == problem.solids_with_goal

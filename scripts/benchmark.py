@@ -47,7 +47,6 @@ STUDIES = {
     "upright": "upright:STUDY",
     "franka": "franka:FRANKA",
     "retargets": "retargets:RETARGETS",
-    "drifting": "drifting:DRIFTING",
     "cells": "cells:CELLS",
     "cell_trees": "cell_trees:CELL_TREES",
     "wood_static": "wood:WOOD_STATIC",

@@ -8,13 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-import coal
 import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import FloatArray
 from hplan.certificate.clearance_proof import MOST_TRAVEL, SMALLEST_STEP, prove_clearance
-from hplan.collision.coal_arm import BASE_DEPTH, base_bodies
+from hplan.collision.coal_arm import BASE_DEPTH, BaseBody, base_bodies
 from hplan.collision.coal_cloud import distance_from
 from hplan.collision.coal_moving_solids import MovingSolids
 from hplan.collision.coal_scene import CoalScene, Leaving
@@ -98,25 +97,37 @@ def moving_base_contacts(robot: Robot, moving: MovingSolids, begin_s: float, end
         begin_s: Start of the time interval [s].
         end_s: End of the time interval [s].
     """
-    shapes = [(base.body.name, base.shape.geometry, base.place) for base in base_bodies(robot)]
+    bases, clock = base_bodies(robot), np.array([begin_s])
     for number in moving.numbers:
         solid, movement = moving.solids[number], moving.movements[number]
-        for name, body, place in shapes if solid.meets != "pushing" else ():
-            at = None if movement is None else _too_deep(body, place, solid, movement, (begin_s, end_s))
+        if movement is None or solid.meets == "pushing":
+            continue
+        travel = np.concatenate([[0.0], np.cumsum(moving.rates[number] * np.diff(movement.breaks))])
+        # The ball around the obstacle at the start, wider by all that its points travel until the end.
+        rotations, shifts = movement.displacement_at(clock)
+        centre = 0.5 * (solid.core.min(axis=0) + solid.core.max(axis=0))
+        radius = float(np.linalg.norm(solid.core - centre, axis=1).max()) + solid.rounding
+        radius += float(movement.spread_at(clock)[0])
+        radius += float(np.subtract(*np.interp((end_s, begin_s), movement.breaks, travel)))
+        place = rotations[0] @ centre + shifts[0]
+        for base in bases:
+            if float(np.linalg.norm(place - base.centre)) > radius + base.radius:
+                continue
+            at = _too_deep(base, solid, movement, travel, (begin_s, end_s))
             if at is not None:
+                name = base.body.name
                 yield f"obstacle {solid.name!r} comes into the robot's {name!r}, which does not move, at {at:.6g} s"
 
 
 def _too_deep(
-    body: coal.CollisionGeometry, place: pin.SE3, solid: Solid, movement: Movement, span_s: tuple[float, float]
+    base: BaseBody, solid: Solid, movement: Movement, travel: FloatArray, span_s: tuple[float, float]
 ) -> float | None:
-    """First time of excessive penetration of a base shape [s].
+    """First time of excessive penetration of a base body [s].
 
-    An inconclusive check counts as penetration. None if there is no such time.
+    An inconclusive check counts as penetration. None if there is no such time. `travel` bounds the way of the solid's
+    points up to each of the movement's breaks [m].
     """
-    breaks, distance = movement.breaks, distance_from(solid)
-    steps = movement.rates(solid.core, solid.rounding) * np.diff(breaks)
-    travel = np.concatenate([[0.0], np.cumsum(steps)])
+    breaks, distance, steps = movement.breaks, distance_from(solid), np.diff(travel)
     at, end_s = span_s
     # Maximum number of distance queries for one obstacle and one shape of the base. A depth within `SMALLEST_STEP` of
     # the limit counts as too deep, so an obstacle that travels 100 m along the base may need more queries.
@@ -125,7 +136,7 @@ def _too_deep(
         clock = np.array([at])
         rotation, shift = movement.displacement_at(clock)
         # In the frame of the obstacle as the scene lists it.
-        spare = distance(body, pin.SE3(rotation[0], shift[0]).inverse() * place) + BASE_DEPTH
+        spare = distance(base.shape.geometry, pin.SE3(rotation[0], shift[0]).inverse() * base.place) + BASE_DEPTH
         spare -= float(movement.spread_at(clock)[0])
         if not spare > SMALLEST_STEP:
             return at
@@ -160,7 +171,8 @@ def clear_until(q: FloatArray, checker: CoalScene, deviations: FloatArray, neede
     breaks = checker.moving.breaks
     clock = np.concatenate([[from_s], breaks[breaks > from_s]])
     still = np.tile(q, (len(clock) - 1, 4, 1))
-    proof = prove_clearance(still, checker, deviations, needed, clock)
+    # The certified part alone counts: it needs no search for the minimum distance afterwards.
+    proof = prove_clearance(still, checker, deviations, needed, clock, measured=False)
     if proof.is_certified:
         return known_until_s
     return min(known_until_s, float(np.interp(proof.end, np.arange(len(clock)), clock)))

@@ -173,10 +173,32 @@ class MovingSolids(Record):
         """(obstacles,) maximum distances of the obstacles from `places` [m]; None if no obstacle has a drift."""
         if not self._drifting:
             return None
-        found, clock = np.zeros(len(self.solids)), np.array([time_s])
-        for number, movement in self._drifting:
-            found[number] = movement.spread_at(clock)[0]
+        numbers, begins, steps, pieces, table = self._spread_table
+        along = np.clip((time_s - begins) / steps, 0.0, pieces)
+        rows, k = np.arange(len(numbers)), np.minimum(along.astype(np.int64), pieces - 1)
+        before = table[rows, k]
+        found = np.zeros(len(self.solids))
+        found[numbers] = before + (along - k) * (table[rows, k + 1] - before)
         return found
+
+    @cached_property
+    def _spread_table(self) -> tuple[IntArray, FloatArray, FloatArray, IntArray, FloatArray]:
+        """Of each obstacle with a drift, number, start and step of its spreads [s], number of pieces, and spreads [m].
+
+        The last is a (drifts, largest number of pieces + 1) table.
+        """
+        spreads = [movement.own.spreads for _, movement in self._drifting]
+        pieces = np.array([len(times) - 1 for times, _ in spreads])
+        begins, ends = np.array([(times[0], times[-1]) for times, _ in spreads]).T
+        table = np.array([np.pad(values, (0, pieces.max() + 1 - len(values))) for _, values in spreads])
+        numbers = np.array([number for number, _ in self._drifting])
+        return numbers, begins, (ends - begins) / pieces, pieces, table
+
+    @cached_property
+    def rates(self) -> dict[int, FloatArray]:
+        """Upper bounds of the moving obstacles' point speeds between the breaks of their movements, by number [m/s]."""
+        pairs = zip(self.movements, self.solids, strict=True)
+        return {n: how.rates(solid.core, solid.rounding) for n, (how, solid) in enumerate(pairs) if how is not None}
 
     def travels(self, clock: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Upper bound of the obstacles' travel between times, from their maximum speeds.
@@ -192,9 +214,9 @@ class MovingSolids(Record):
         found: list[FloatArray] = []
         group_of = np.full(len(self.solids), -1)
         for number in self.numbers:
-            movement, solid = self.movements[number], self.solids[number]
+            movement = self.movements[number]
             if movement is not None:
-                travel = largest_interval_rates(movement.breaks, movement.rates(solid.core, solid.rounding), clock)
+                travel = largest_interval_rates(movement.breaks, self.rates[number], clock)
                 travel *= np.diff(clock)
                 group = rows.setdefault(travel.tobytes(), len(rows))
                 group_of[number] = group
@@ -216,9 +238,9 @@ def largest_interval_rates(breaks: FloatArray, rates: FloatArray, clock: FloatAr
     Returns:
         (n,) values; for an interval of zero length the maximum of the two pieces that meet there.
     """
-    # Pieces 0 and m are before the first and after the last break.
-    padded = np.concatenate([[0.0], rates, [0.0]])
+    # Pieces 0 and m are before the first and after the last break; the last value ends the last range.
+    padded = np.concatenate([[0.0], rates, [0.0, 0.0]])
     first = np.searchsorted(breaks, clock[:-1], side="left")
     last = np.searchsorted(breaks, clock[1:], side="right")
-    found = np.array([padded[low : high + 1].max() for low, high in zip(first.tolist(), last.tolist(), strict=True)])
-    return found.astype(np.float64)
+    found: FloatArray = np.maximum.reduceat(padded, np.column_stack([first, last + 1]).ravel())[::2]
+    return found

@@ -115,7 +115,8 @@ class Track(StrictModel):
         if (self.rpy_deg is None) != (self.about is None):
             given, missing = ("about", "rpy_deg") if self.rpy_deg is None else ("rpy_deg", "about")
             raise fault(f"this key is missing: {missing} is required with {given}", given)
-        for number, turn in enumerate(rotation_vectors(self.rotations), start=1):
+        turns = () if self.rpy_deg is None else rotation_vectors(self.rotations)
+        for number, turn in enumerate(turns, start=1):
             # Obstacles rotate along the smaller angle; near 180 degrees its direction is ambiguous.
             if not np.linalg.norm(turn) <= math.radians(179.0):
                 raise fault(

@@ -5,7 +5,8 @@ them, `compare` lists changes between two runs, problem by problem. The keys of 
 
 - `name`: the problem, the same in every run;
 - `fault`: True if hplan is at fault, for example with a certified motion in contact;
-- texts and booleans are counted; for numbers the median, the 95th percentile and the maximum are reported.
+- texts and booleans are counted; for numbers the median, the 95th percentile and the maximum are reported. A list of
+  numbers counts with each of them; two runs are compared by its median.
 """
 
 from __future__ import annotations
@@ -180,7 +181,8 @@ def number(value: float, digits: int = 3) -> str:
 
 def summarize(values: Sequence[Any], percentiles: Sequence[int] = (50, 95, 100)) -> str:
     """The summary of one column's values, without missing ones."""
-    kept = [value for value in values if value is not None]
+    listed = itertools.chain.from_iterable(value if isinstance(value, list) else [value] for value in values)
+    kept = [value for value in listed if value is not None]
     if not kept:
         return "-"
     if all(isinstance(value, bool) for value in kept):
@@ -245,7 +247,11 @@ def compare(before: Sequence[Row], after: Sequence[Row], columns: Sequence[str])
     pairs = [(old[row["name"]], row) for row in after if row["name"] in old]
     lines = []
     for key in columns:
-        both = [(a[key], b[key]) for a, b in pairs if a.get(key) is not None and b.get(key) is not None]
+        both = [
+            (_one(a[key]), _one(b[key]))
+            for a, b in pairs
+            if a.get(key) not in (None, []) and b.get(key) not in (None, [])
+        ]
         if not both:
             continue
         if any(isinstance(value, bool | str) for value in itertools.chain.from_iterable(both)):
@@ -261,6 +267,11 @@ def compare(before: Sequence[Row], after: Sequence[Row], columns: Sequence[str])
         lines.append((key, str(len(ratio)), total, summarize(ratio), more))
     first = f"{len(before)} rows before, {len(after)} after, {len(pairs)} of the same problems"
     return [first, "", *table(("after : before", "pairs", "of sums", "median / 95 % / largest", ""), lines)]
+
+
+def _one(value: Any) -> Any:
+    """A value of a row, or the median of a list; None for none."""
+    return (float(np.median(value)) if value else None) if isinstance(value, list) else value
 
 
 def read_rows(file: Path) -> list[Row]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -11,17 +12,23 @@ from arm_variants import axis_points, coal_distances, least_by_coal
 from fitted_arms import quintic, scene_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from studies.validation.random_worlds import direction
 
 from hplan.certificate.certificate import certify
 from hplan.certificate.configuration_check import check
+from hplan.certificate.moving_obstacles import checker_in_time, moving_base_contacts
+from hplan.collision.coal_arm import BASE_DEPTH, base_bodies
+from hplan.collision.coal_moving_solids import MovingSolids, largest_interval_rates
 from hplan.collision.coal_scene import CoalScene
+from hplan.collision.coal_shapes import solid_shape
 from hplan.errors import MovingObstacleError, OptionError
+from hplan.geometry.shape_outline import coal_distance
 from hplan.planar.family_reader import family_of
 from hplan.robot.model import Robot
 from hplan.scene.fruit import Fruit
 from hplan.scene.model import Goal
 from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
-from hplan.scene.tracks import Drift, Sway, Track
+from hplan.scene.tracks import Drift, Movement, Sway, Track
 
 REST = (0.0, 45.0, 45.0, 45.0)
 AWAY = (60.0, 30.0, 50.0, 40.0)
@@ -151,6 +158,57 @@ def test_drift_may_not_lead_into_the_base(robot):
         crate = Box(name="crate", center=(-2.0, 0.0, 0.1), size=(0.2, 0.2, 0.2), track=still)
         certificate = certify(robot, scene_of(REST, AWAY, [crate]), motion)
         assert any("comes into the robot's" in each for each in certificate.violations) == (acceleration > 0.0)
+
+
+def test_moving_solids_are_those_of_their_movements():
+    """Drifts and speeds of many obstacles at once, against plain formulas; the predictions have different lengths."""
+    rng = np.random.default_rng(3)
+    balls = []
+    for number, length in enumerate((0.3, 1.0, 4.0, 9.0)):
+        drift = Drift(radius_m=0.01 * number, speed_m_s=rng.uniform(), acceleration_m_s2=3.0 * rng.uniform())
+        path = track((0.1 * number, (0.0,) * 3), (0.1 * number + length, tuple(rng.normal(size=3))), drift=drift)
+        balls.append(Sphere(name=f"ball {number}", center=(1.0, 0.0, 0.0), radius=0.1, track=path))
+    solids = [solid for ball in balls for solid in ball.solids]
+    moving = MovingSolids.combine(solids, [Movement.relative_to(ball.track, None) for ball in balls])
+    for time in rng.uniform(-0.5, 11.0, 200):
+        expected = [movement.spread_at(np.array([time]))[0] for movement in moving.movements]
+        np.testing.assert_allclose(moving.spreads(time), expected, rtol=0.0, atol=1e-12)
+    for _ in range(200):
+        breaks = np.sort(rng.choice(20, int(rng.integers(2, 8)), replace=False)) / 4.0
+        rates, clock = rng.uniform(size=len(breaks) - 1), np.sort(rng.integers(-4, 24, int(rng.integers(1, 7)))) / 4.0
+        pieces = [
+            (-math.inf, breaks[0], 0.0),
+            *zip(breaks, breaks[1:], rates, strict=False),
+            (breaks[-1], math.inf, 0.0),
+        ]
+        expected = [max(r for low, high, r in pieces if low <= b and high >= a) for a, b in itertools.pairwise(clock)]
+        np.testing.assert_array_equal(largest_interval_rates(breaks, rates, clock), expected)
+
+
+def test_obstacles_reach_the_base_as_coal_has_it(robot):
+    """Random boxes pass the base: penetrations at fine times are found, and far boxes are not refused."""
+    rng, motion = np.random.default_rng(5), quintic(robot, REST, AWAY, duration=1.0)
+    found = []
+    for _ in range(60):
+        ends = [tuple((rng.uniform(0.1, 0.6) * unit).tolist()) for unit in (direction(rng), direction(rng))]
+        crate = Box(
+            name="crate", center=(0.0, 0.0, 0.3), size=(0.1, 0.1, 0.1), track=track((0.0, ends[0]), (2.0, ends[1]))
+        )
+        scene = scene_of(REST, AWAY, [crate])
+        moving = checker_in_time(robot, scene, 0.0).moving
+        messages = list(moving_base_contacts(robot, moving, 0.0, motion.duration))
+        depths = [
+            -min(
+                coal_distance(base.shape.geometry, base.place, shape.geometry, shape.placement)
+                for base in base_bodies(robot)
+            )
+            for time in np.linspace(0.0, motion.duration, 101)
+            for shape in [solid_shape(scene.snapshot(time).obstacles[0].solids[0])]
+        ]
+        assert bool(messages) or max(depths) <= BASE_DEPTH + 1e-6
+        assert not messages or max(depths) > BASE_DEPTH - 6e-3  # between two times the box comes that much nearer
+        found.append(bool(messages))
+    assert 5 < sum(found) < 55
 
 
 def tip_before(robot: Robot) -> np.ndarray:

@@ -353,8 +353,7 @@ def _drifting(config: StudyConfig, number: int, rng: np.random.Generator) -> Wor
 @functools.cache
 def _peers_files(folder: Path, name: str) -> tuple[Robot, dict[str, Any]]:
     """The peers' arm with its gripper, and one of their files."""
-    # YAML has no tabs; their reader allows them.
-    scenario = yaml.safe_load((folder / f"{name}/{name}.yaml").read_text(encoding="utf-8").replace("\t", " "))
+    scenario = _read(folder / f"{name}/{name}.yaml")
     # The limits of the scenario are the robot's; the gripper counts to the last link.
     tree, place = ElementTree.parse(folder / "xarm6.urdf"), Path(tempfile.mkdtemp())
     (place / "collision").symlink_to((folder / "collision").absolute())
@@ -391,8 +390,14 @@ def _fixed(scenario: dict[str, Any]) -> list[Box]:
 
 
 @functools.cache
-def _random_runs(file: Path) -> dict[str, Any]:
-    found: dict[str, Any] = yaml.load(file.read_text(encoding="utf-8"), Loader=yaml.CSafeLoader)
+def _read(file: Path) -> dict[str, Any]:
+    """A YAML file of the peers."""
+    try:
+        text = file.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{file}: no file of RPMPLv2's folder data/xarm6: {error.strerror}", path=str(file)) from error
+    # YAML has no tabs; their reader allows them.
+    found: dict[str, Any] = yaml.load(text.replace("\t", " "), Loader=yaml.CSafeLoader)
     return found
 
 
@@ -400,7 +405,7 @@ def _boxes(config: StudyConfig, number: int, _: np.random.Generator) -> World:
     """Small boxes that fly straight and are reflected by the border of the workspace and around the base."""
     robot, scenario, folder = _peers(config, "scenario_random_obstacles")
     count, run = BOXES[number % len(BOXES)], number // len(BOXES)
-    listed = _random_runs(folder / "random_scenarios.yaml")[f"scenario_{count}"][f"run_{run}"]
+    listed = _read(folder / "random_scenarios.yaml")[f"scenario_{count}"][f"run_{run}"]
     each = [listed[key] for key in listed if key.startswith("object")]
     places, velocities = (np.array([item[key] for item in each], dtype=np.float64) for key in ("pos", "vel"))
     size = tuple(scenario["random_obstacles"]["dim"])
@@ -438,7 +443,7 @@ _WORLDS = {"still": _still, "cloud": _cloud, "drifting": _drifting, "boxes": _bo
 
 
 def _problems(config: StudyConfig) -> Iterator[tuple[str, int]]:
-    kinds = OWN if not config.only and config.files is None else config.chosen(_WORLDS)
+    kinds = config.chosen(_WORLDS) if config.only else OWN
     return ((kind, number) for kind in kinds for number in config.numbers)
 
 

@@ -14,7 +14,7 @@ from scipy.interpolate import BSpline
 from hplan.certificate.limit_use import limit_use
 from hplan.collision.compiled_field import ClearanceField
 from hplan.optimization.constraint_rows import ALLOWED, TorqueUse, torque_rows
-from hplan.optimization.first_order import NEAR, SCALE, MotionArrays, MotionLimits, first_order, sample_places
+from hplan.optimization.first_order import NEAR, PLACES, SCALE, MotionArrays, MotionLimits, first_order
 from hplan.optimization.minimize_time import Level, OptimizerEffort, minimize_time
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.time_problem import TimeProblem
@@ -136,8 +136,8 @@ def test_clearances_follow_the_time_scale_where_an_end_is_in_motion(robot, limit
 
 
 def clearances(spline, field):
-    piece, part = sample_places(np.array(spline.control), spline.knots, field.arrays).T
-    clock = np.interp(piece + part, np.arange(PIECES + 1), spline.knots[3:-3])
+    breaks = spline.knots[3:-3]
+    clock = (breaks[:-1, None] + np.diff(breaks)[:, None] * np.arange(PLACES) / PLACES).ravel()
     return field.clearance_along(BSpline(spline.knots, spline.control, 3)(clock)).ravel()
 
 

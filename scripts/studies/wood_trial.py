@@ -174,9 +174,11 @@ def _registered(
     turned = seen.shift(np.zeros(3), math.degrees(heading))
     moved = turned.shift(center - np.mean([fruit.center for fruit in turned.fruits], axis=0))
 
+    # A single fruit says nothing of the heading.
+    turn = noise / math.sqrt(squares) if len(found) > 1 else math.radians(BASE_DEG) / SIGMAS
+
     def sigma(point: Sequence[float]) -> float:
-        apart = math.dist(point[:2], center[:2].tolist())
-        return noise * math.sqrt(1.0 / len(found) + apart**2 / squares)
+        return math.hypot(noise / math.sqrt(len(found)), turn * math.dist(point[:2], center[:2].tolist()))
 
     return moved, sigma
 

@@ -61,10 +61,18 @@ def test_study_runs(study: str, tmp_path: Path) -> None:
     assert f"### {study}" in (tmp_path / "benchmark.md").read_text()
 
 
-def test_retargets(tmp_path: Path) -> None:
+def test_retargets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from studies import retargets
+
     folder = _peers_folder(tmp_path / "xarm6")
     options = ("--only", "still", "drifting", "boxes", "pillars", "--files", str(folder), "--values", "ticks=100")
-    rows = {row["kind"][0]: row for row in rows_of("retargets", tmp_path, "--effort", "quick", *options)}
+    # Motions that take too long are dropped: what compiles kernels must not decide, nor the machine's speed.
+    monkeypatch.setattr(retargets, "timed", lambda call: (call(), 0.0))
+    rows_of("retargets", tmp_path / "first", "--effort", "quick", *options)
+    found = rows_of("retargets", tmp_path, "--effort", "quick", *options)
+    assert len({row["name"] for row in found}) == len(found)
+    assert "### retargets" in (tmp_path / "benchmark.md").read_text()
+    rows = {row["kind"][0]: row for row in found}
     assert not any(row["fault"] or row["contacts"] for row in rows.values())
     assert all(len(row["stop_ms"]) == row["retargets"] > 0 for row in rows.values())
     assert sum(row["splices"].get("certified", 0) for row in rows.values()) > 0
@@ -242,7 +250,8 @@ def test_motions_of_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
     monkeypatch.setattr(others, "ROBOTS", ("ur5",))
     rows = rows_of("others", tmp_path)
-    assert list(dict.fromkeys(row["planner"] for row in rows)) == [f"{name}, ur5" for name in others.PLANNERS]
+    planners = [f"{name}, ur5" for name in others.PLANNERS for _ in range(others.MOTIONS)]
+    assert [row["planner"] for row in rows] == planners
     assert any(row["solved"] for row in rows)
     assert not any(row["fault"] for row in rows if row["solved"])
 

@@ -103,10 +103,13 @@ def _grasps_of(motion: ProvedMotion) -> Iterator[Grasp]:
     trajectory, robot = motion.trajectory, motion.robot
     touched_s = dict[str, float]()
     for part, checker, *_ in motion.stretches:
+        fruits = checker.fruit_limits
+        if not fruits:
+            continue
         rows = np.arange(part.start, min(part.stop + 1, trajectory.samples))
         speeds = np.abs(trajectory.velocity[rows]).max(axis=1)
         resting = rows[speeds <= max(REST, float(speeds.min()))]
-        for name, center, limit in checker.fruit_limits:
+        for name, center, limit in fruits:
             first_s = touched_s.setdefault(name, float(trajectory.time[part.start]))
             apart = np.linalg.norm(robot.tool_positions(trajectory.position[resting]) - center, axis=1)
             yield Grasp(name, limit, first_s, float(trajectory.time[resting[ties.argmin(apart)]]))
@@ -160,9 +163,7 @@ def _squares_at(contacts: SegmentContacts, grasp: Grasp) -> _Squares:
     point, loads = grasp.fruit.displacement, contacts.loads
     if point is None or not len(loads.row):
         return _Squares()
-    own = np.array([name == grasp.name for name in contacts.obstacles], dtype=np.bool_)
-    is_own = own[contacts.rows["obstacle"][loads.row]]
-    is_on, is_beside = contacts.displacing(grasp.fruit.root, grasp.name)
+    is_own, is_on, is_beside = contacts.displacing(grasp.fruit.root, grasp.name)
     kept = np.flatnonzero((is_on | is_beside) & (contacts.rows["begin_s"][loads.row] <= grasp.time_s))
     if not len(kept):
         return _Squares()

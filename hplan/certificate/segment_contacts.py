@@ -213,12 +213,14 @@ class SegmentContacts(Record):
             columns["decay_rate"],
         )  # fmt: skip
 
-    def displacing(self, root: int, fruit: str) -> tuple[BoolArray, BoolArray]:
-        """Masks of `loads`: contacts with the limb of a root or on it, and those that press others against it.
+    def displacing(self, root: int, fruit: str) -> tuple[BoolArray, BoolArray, BoolArray]:
+        """Masks of `loads` that displace a fruit: contacts with it; with it, its limb or what is on that; with others.
+
+        Others are limbs and fruit that may be pressed against these.
 
         Args:
-            root: The first bending segment from the clamp; -1 for none.
-            fruit: Name of a fruit on it, which counts as well.
+            root: The first bending segment of its limb from the clamp; -1 for none.
+            fruit: Name of the fruit.
         """
         limits = self.limits
         presses = np.array([
@@ -226,8 +228,9 @@ class SegmentContacts(Record):
         ], dtype=np.bool_)  # fmt: skip
         named = np.array([name == fruit for name in self.obstacles], dtype=np.bool_)
         rows = self.rows[self.loads.row]
-        is_on = named[rows["obstacle"]] | ((self.loads.root == root) & (root >= 0))
-        return is_on, presses[rows["limit"]] & ~is_on
+        is_own = named[rows["obstacle"]]
+        is_on = is_own | ((self.loads.root == root) & (root >= 0))
+        return is_own, is_on, presses[rows["limit"]] & ~is_on
 
     @cached_property
     def stresses(self) -> RootStresses:

@@ -382,7 +382,7 @@ def certify_gently(
     quick = trajectory
     certificate = certificate_of(problem, quick, None if among is None else among(quick), measured=measured)
     for ease_s in _EASE_S:
-        if certificate.verified or certificate.subject is None:
+        if certificate.verified or certificate.subject is None or not certificate.subject.has_limbs:
             break
         slower = contacts_to_slow(certificate.subject)
         if slower is None:

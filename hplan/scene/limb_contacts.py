@@ -114,8 +114,7 @@ def _contact_solids(obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood
                 depth, float(table.force[row]), float(table.stress[row]), segment, roots[segment], (low, high),
                 *_impact(limbs, segment, swing, float(pushables.mass[row]), carried.get(roots[segment], 0.0), wood),
                 most_force, float(limits.stress[segment]), point, decay, wood.capture_range,
-                float(table.stiffness[row] / limits.stiffest[segment]), float(table.pressed[row]),
-                float(pushables.mass[row]), table.roots[row], table.fruits[row],
+                float(table.pressed[row]), float(pushables.mass[row]), table.roots[row], table.fruits[row],
             )  # fmt: skip
             solid = _TEMPLATE.copy_unchecked({
                 "name": name, "start": tuple(starts[row]), "end": tuple(ends[row]),

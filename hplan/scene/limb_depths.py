@@ -6,7 +6,8 @@ a neighbour with the compliance :math:`c_2` adds :math:`(\delta - g) / c_2`, and
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -32,7 +33,6 @@ class PermittedContacts(NamedTuple):
         force: (k,) static force at that depth [N].
         pressed: (k,) the part of it by neighbours [N].
         stress: (k,) static stress of the limb at that depth [Pa].
-        stiffness: (k,) upper bound of force times deflection per squared depth of parts of limbs [N/m]; 0 for fruit.
         roots: The roots of neighbours' limbs, of each pushable.
         fruits: The names of neighbouring fruit, of each pushable.
     """
@@ -42,7 +42,6 @@ class PermittedContacts(NamedTuple):
     force: FloatArray
     pressed: FloatArray
     stress: FloatArray
-    stiffness: FloatArray
     roots: list[frozenset[int]]
     fruits: list[frozenset[str]]
 
@@ -63,15 +62,14 @@ def permitted_contacts(
     whole, lengths = depth_and_extension(pushables)
     per_depth = pushables.force / np.maximum(whole, 1e-12)  # of the limb alone [N/m]
     most = np.clip(whole, 0.0, pushables.depth)
-    found, stiffness = _neighbours(pushables, most, limbs, hanging, stiff, wood), np.zeros(count)
+    found = _neighbours(pushables, most, limbs, hanging, stiff, wood)
     if not pushables.mass.any():
         stiffness = largest_stiffness(pushables, whole, lengths, limbs, wood)
         for items in (pushables, hanging):
             others = _pressed_farther_out(pushables, most, stiffness, items, limbs, hanging, stiff, wood)
             found = Neighbours(*(np.concatenate(pair) for pair in zip(found, others, strict=True)))
     depth, limit = most.copy(), STATIC_SHARE * limits_by_segment(limbs, wood).force[pushables.segment]
-    for row in np.unique(found.pushable).tolist():
-        mine = found.at(found.pushable == row)
+    for row, mine in found.by_pushable():
         depth[row] = _squeezed_depth(float(most[row]), float(per_depth[row]), float(limit[row]), mine)
     depth[depth < LEAST_DEPTH_M] = 0.0
     force = per_depth * depth
@@ -80,13 +78,10 @@ def permitted_contacts(
     squeezed = np.bincount(found.pushable, pressing, count).astype(np.float64)
     extension = np.divide(lengths * depth, whole, out=np.zeros(count), where=whole > 0.0)
     roots, fruits = ([frozenset[Any]()] * count for _ in range(2))
-    for row in np.unique(found.pushable[pushed_on > 0.0]).tolist():
-        mine = found.at((found.pushable == row) & (pushed_on > 0.0))
+    for row, mine in found.at(pushed_on > 0.0).by_pushable():
         roots[row] = frozenset(mine.root[mine.root >= 0].tolist())
         fruits[row] = frozenset(hanging.names[fruit] for fruit in mine.fruit[mine.fruit >= 0].tolist())
-    return PermittedContacts(
-        depth, extension, force + squeezed, squeezed, force * pushables.stress, stiffness, roots, fruits
-    )
+    return PermittedContacts(depth, extension, force + squeezed, squeezed, force * pushables.stress, roots, fruits)
 
 
 class Neighbours(NamedTuple):
@@ -114,6 +109,13 @@ class Neighbours(NamedTuple):
             self.pushable[kept], self.gap[kept], self.stiffness[kept], self.depth[kept], self.root[kept],
             self.fruit[kept],
         )  # fmt: skip
+
+    def by_pushable(self) -> Iterator[tuple[int, Neighbours]]:
+        """Number of each pushable with neighbours, and these."""
+        order = np.argsort(self.pushable, kind="stable")
+        numbers, first = np.unique(self.pushable[order], return_index=True)
+        for number, (begin, end) in zip(numbers.tolist(), pairwise([*first.tolist(), len(order)]), strict=True):
+            yield number, self.at(order[begin:end])
 
 
 def _squeezed_depth(most: float, per_depth: float, limit: float, neighbours: Neighbours) -> float:

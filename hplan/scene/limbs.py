@@ -179,34 +179,6 @@ class Limbs(Record):
             yield axis, np.cross(axis, point - self.start[row]), weight
             tip = self.joint[row]
 
-    def mutual_compliance(self, numbers: tuple[int, int], points: FloatArray, youngs_modulus: float) -> FloatArray:
-        """(3, 3) displacement at one point of a limb by a force at another one [m/N].
-
-        Args:
-            numbers: Segments of the displaced point and of the force.
-            points: (2, 3) the points, on these segments' axes [m].
-            youngs_modulus: Young's modulus [Pa].
-        """
-        paths = [self.path(number)[::-1] for number in numbers]
-        shared = [row for row, other in zip(*paths, strict=False) if row == other]
-        found, rigidity = np.zeros((3, 3)), self.flexural_rigidity(youngs_modulus)
-        for rank, row in enumerate(shared):
-            ends = [
-                float(np.dot((self.joint[path[rank + 1]] if rank + 1 < len(path) else point) - self.start[row],
-                             self.axis[row]))
-                for path, point in zip(paths, points, strict=True)
-            ]  # fmt: skip
-            part = min(max(min(ends), 0.0), float(self.length[row]))
-            twist = (1.0 / TWIST_RATIO - 1.0) * part / rigidity[row]
-            arms = [np.cross(self.axis[row], point - self.start[row]) for point in points]
-            found += twist * np.outer(*arms)
-            # The integrand is quadratic in s: two Gauss points are exact.
-            for s in (0.5 - 0.5 / math.sqrt(3.0), 0.5 + 0.5 / math.sqrt(3.0)):
-                first, second = points - (self.start[row] + s * part * self.axis[row])
-                weight = 0.5 * part / rigidity[row]
-                found += weight * (float(first @ second) * np.eye(3) - np.outer(second, first))
-        return found
-
     def compliance_along(self, numbers: IntArray, along: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Compliance at points of the axes for a Young's modulus of 1 Pa.
 

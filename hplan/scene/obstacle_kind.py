@@ -173,8 +173,6 @@ class ContactLimit(NamedTuple):
         decay_rate: Minimum rate at which a fruit comes to rest after its limb was displaced, or for a part of a limb
             all fruit on limbs with its root [1/s]; infinite without fruit.
         capture_range: Allowed displacement of a fruit that is grasped [m].
-        stiffness_per_pa: For a part of a limb the upper bound of force times deflection per squared depth, whatever the
-            normal of the contact, per pascal of Young's modulus [m] (`hplan.scene.limb_sweeps`).
         pressed: The part of `force` by neighbours that limb or fruit is pressed against [N].
         mass: Mass of a fruit [kg]; 0 for limbs.
         roots: Roots, as `root`, of other limbs that limb or fruit is pressed against.
@@ -196,7 +194,6 @@ class ContactLimit(NamedTuple):
     displacement: Hanging | None
     decay_rate: float
     capture_range: float
-    stiffness_per_pa: float
     pressed: float
     mass: float
     roots: frozenset[int] = frozenset()

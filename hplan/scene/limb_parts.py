@@ -13,7 +13,7 @@ if
 .. math:: \delta \le \lambda_{min}(F C + \max(l, l^2)\, \delta\, a a^\top).
 
 So a twig, which is stiff along its axis, is not met head-on; one that bends on a crooked limb is stiffest in another
-direction, and is extended farther. For :math:`l \le 1` what is clear of the limb is clear of the smaller part, too,
+direction, and is extended farther. For :math:`l \le 1` a body clear of the limb is clear of the smaller part, too,
 unless thin links may not use the whole depth; `hplan.certify` then tries rigid limbs, so that limits forbid no motion
 that touches nothing. Within a part, the tangent of :math:`C` bounds it from below, and this eigenvalue is concave in
 it: the two ends decide.
@@ -61,7 +61,7 @@ TINY: Final = 1e-12
 _MOST_EXTENDED: Final = 1.5
 _EXTENSIONS: Final = 25
 
-#: Growth of the depth for which an extension counts as better than a smaller one.
+#: An extension is better than a smaller one if the depth grows by this factor.
 _WORTH: Final = 1.01
 
 

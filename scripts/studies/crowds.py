@@ -1,4 +1,4 @@
-"""Moving obstacles of studies: their true ways, and what a planner knows of them."""
+"""Moving obstacles of studies: true trajectories, and predictions for the planner."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hplan.scene.tracks import Drift, Track
 #: Balls: number; radius [m]; initial speed [m/s] and maximum acceleration [m/s^2]; step [s]; prediction [s].
 BALLS, RADIUS_M, SPEED_M_S, MOST_M_S2, STEP_S, BALLS_AHEAD_S = 10, 0.08, 1.0, 3.0, 5e-3, 2.0
 
-#: What is known of a ball: maximum errors of position and velocity.
+#: Maximum errors of a ball's measured position and velocity.
 SEEN = Drift(radius_m=2e-3, speed_m_s=0.02, acceleration_m_s2=MOST_M_S2)
 
 #: Objects on their way by a known law: how far ahead they are predicted [s], and rounding.
@@ -52,7 +52,7 @@ class Crowd(abc.ABC):
         step_s: Time between two changes of velocity [s].
         places: (n, 3) centres [m].
         velocities: (n, 3) velocities [m/s].
-        path: The centres after each step so far.
+        path: The centres after each past step.
     """
 
     def __init__(self, shapes: Sequence[Box | Sphere], places: FloatArray, velocities: FloatArray, step_s: float):
@@ -140,7 +140,7 @@ class LawfulObjects(Crowd):
             places, velocities = self._law(places, velocities)
             path.append(places)
         for shape, way in zip(self.shapes, np.array(path).swapaxes(0, 1), strict=True):
-            # Straight between the ends and the steps at which the way turns.
+            # Straight between the ends and the steps where the direction changes.
             bends = np.linalg.norm(np.diff(way, 2, axis=0), axis=1) > 1e-9
             rows = np.flatnonzero(np.concatenate([[True], bends, [True]]))
             shifts = tuple(map(tuple, (way[rows] - way[0]).tolist()))

@@ -6,11 +6,11 @@ that the obstacles may take. If it is not certified, the arm goes on with the la
 stop at every time. Motions to the goal are planned among the predicted places alone. They take over `World.ahead` ticks
 after their computation began, and are dropped if it took more CPU time than that.
 
-What the arm did is judged from outside: contacts with the true obstacles, and limits by differences of positions.
+An outside judge checks the executed motion: contacts with the true obstacles, and limits by position differences.
 Moving obstacles do not avoid the arm and may strike it while it rests: these contacts are counted separately.
 
 Scenes: random ones (`studies.arms`) without and with a cloud of balls (`still`, `cloud`); balls that accelerate at
-random (`drifting`); and those of Covic and Lacevic (arXiv 2603.00759) in the folder `data/xarm6` of their program
+random (`drifting`); and the scenes of Covic and Lacevic (arXiv 2603.00759) in the folder `data/xarm6` of their program
 RPMPLv2, --files: `boxes`, which their program `generate_random_scenarios` draws, and `pillars`.
 """
 
@@ -54,14 +54,14 @@ from hplan.trajectory.trajectory import SAME_TIME
 OWN, PEERS = ("still", "cloud", "drifting"), ("boxes", "pillars")
 ARMS = ("harvester", "ur5", "panda")
 
-#: Time between two samples of what the arm did [s]; ticks are multiples of it.
+#: Time between two samples of the executed motion [s]; ticks are multiples of it.
 SAMPLE_S = 1e-3
 
 #: Still scenes: number of ticks and their length [s]; ticks between two goals; distance of a goal from an end of the
 #: scene in each joint [rad, m].
 STILL_TICKS, STILL_S, STILL_EVERY, ASIDE = 40, 0.06, 5, 0.4
 
-#: Number of balls of a cloud, in shells with so many balls each, and their radius [m].
+#: Number of balls of a cloud, number in each shell, and their radius [m].
 CLOUD, SHELL, CLOUD_RADIUS_M = 300_000, 15_000, 4e-3
 
 #: Drifting balls: number of ticks and their length [s]; ticks for a splice; goals.
@@ -117,7 +117,7 @@ class Follower:
         splices: Number of plans by outcome.
         stop_ms: CPU time of each `Planner.aim` of the moving arm [ms].
         splice_ms: CPU time of each new motion of the moving arm [ms].
-        to_better: Durations of splices relative to those of another planner.
+        to_better: Durations of splices relative to another planner's.
     """
 
     def __init__(self, world: World, better: PlanOptions | None) -> None:
@@ -132,7 +132,7 @@ class Follower:
         # The motion with a certified stop that the arm follows, and the plan that it is from.
         self._held: CertifiedMotion | None = None
         self._followed: PlanResult | None = None
-        # A stop of the tick before with its plan and CPU time [ms]; a new motion, and the tick at which it is known.
+        # The previous tick's stop with its plan and CPU time [ms]; a new motion, and the tick when it is known.
         self._asked: tuple[CertifiedMotion, PlanResult, float] | None = None
         self._coming: tuple[PlanResult, int] | None = None
         self.counts = dict.fromkeys(("retargets", "refused", "resting"), 0)
@@ -156,13 +156,13 @@ class Follower:
         return found
 
     def tick(self, number: int, seen: Sequence[Obstacle], goal: Goal) -> None:
-        """Decide what to follow from a tick on, among the obstacles as seen and predicted now."""
+        """Choose the motion from a tick on, among the obstacles as seen and predicted now."""
         world, planner, now = self._world, self._planner, number * self._world.tick_s
         if self._coming is not None and number >= self._coming[1]:
             planner.last, self._coming = self._coming[0], None
         self._decide(now)
         last = planner.last
-        # A stop that takes a tick is asked for a tick before the motion begins.
+        # A stop that takes a tick to compute is requested one tick before the motion begins.
         if last is not None and last.begins_s <= now + world.lag * world.tick_s + SAME_TIME and now < _end_s(last):
             self._show(seen)
             begin = max(now, last.begins_s)
@@ -185,7 +185,7 @@ class Follower:
         self._planner.scene = scene.copy_unchecked(changes | {"obstacles": (*scene.obstacles, *seen)})
 
     def _decide(self, now: float) -> None:
-        """Follow the motion with the stop that was asked for if that is certified and known in time."""
+        """Follow the motion with the requested stop if the stop is certified and known in time."""
         if self._asked is None:
             return
         (stop, last, took_ms), self._asked, world = self._asked, None, self._world
@@ -228,7 +228,7 @@ class Follower:
         is_error = isinstance(found, HplanError)
         if not (is_late or isinstance(found, HplanError)):
             self._coming = found, known
-        # After a failure the next one is planned among obstacles that stay where they are then.
+        # After a failure, the next plan takes the obstacles as fixed at their predicted places.
         self._in_time = not (self._in_time and (is_late or is_error))
         outcome = "late" if is_late else type(found).__name__ if is_error else "kept" if is_kept else "certified"
         self.splices[outcome] += 1
@@ -380,7 +380,7 @@ def _peers(config: StudyConfig, name: str) -> tuple[Robot, dict[str, Any], Path]
 
 
 def _fixed(scenario: dict[str, Any]) -> list[Box]:
-    """The boxes of a scenario; the ground a millimetre lower, since the base stands on it."""
+    """The boxes of a scenario; the ground is a millimetre lower, to clear the base."""
     items = [item["box"] for item in scenario["environment"]]
     lower = [1e-3 if item.get("label") == "ground" else 0.0 for item in items]
     return [

@@ -470,10 +470,10 @@ WOOD_MOVING = Study(
 #: Ranges of the trees' distances from the arm, of their sideways distances [m], and of their turns [deg].
 PICK_DISTANCES, PICK_SIDES, PICK_TURNS = (1.1, 1.6), (-0.6, 0.6), (0.0, 360.0)
 
-#: Number of the fruit nearest to the arm of which one is picked.
+#: One of this many fruit nearest to the arm is picked.
 PICK_AMONG = 24
 
-#: Time before the first contact from which on picks are simulated [s].
+#: Picks are simulated from this time before the first contact [s].
 PICK_BEFORE_S = 0.1
 
 #: Displacements of less are rounding errors of the simulation [m].
@@ -486,7 +486,7 @@ PICK_TRACKING_RAD, PICK_PLANT = 2e-5, Plant(bandwidth=200.0, decoupled=True)
 def _drawn_pick(config: StudyConfig, robot: Robot, problem: TreePush) -> Scene | None:
     """The tree at a random place, with the first of some random fruit that can be picked as the goal; None for none.
 
-    `--values clearance=0.02` sets the clearance from what may not be pushed [m]: a larger one leads to more pushes.
+    `--values clearance=0.02` sets the clearance from rigid obstacles [m]: a larger one leads to more pushes.
     """
     random = problem.random
     options = MeasuredOptions(

@@ -4,11 +4,11 @@ The planner sees each tree from a base that is off by `BASE_M` and `BASE_DEG`, a
 motions before the first one is executed on an arm whose masses differ from the model's by `MASS_ERROR`. Limbs bend and
 sway in the wind, and fruit hang from stalks that break.
 
-The camera takes `LOOKS` frames from where the base stands, to whose mean the tree is registered.
+After the base has stopped, the camera takes `LOOKS` frames, and the tree is registered to their mean.
 
 Each of three planners picks up to `FRUITS` of the fruit that it finds reachable. hplan's tours know how wood bends.
-They are certified for three standard deviations of what the planner sees, which cover the errors of base and camera,
-and for the tracking error. `--values sigmas=0 looks=0 tracking=0.001` changes them.
+They are certified for three standard deviations of the perceived positions, which cover the errors of base and
+camera, and for the tracking error. `--values sigmas=0 looks=0 tracking=0.001` changes them.
 The recipe of MoveIt is RRTConnect, simplified and timed by toppra, with a padding of `PADDING_M`: once with all wood
 rigid, once without the wood that is thinner than the clamp radius. It picks the nearest fruit next and stops at
 stand-offs.
@@ -128,7 +128,7 @@ def seen_scene(scene: Scene, random: np.random.Generator, *, looks: int = 0) -> 
     Args:
         scene: The true scene.
         random: Random number generator.
-        looks: Number of frames that the camera takes from the base, to which the tree is registered.
+        looks: Number of frames that the camera takes after the stop to register the tree; 0 for no registration.
     """
     heading = float(random.uniform(0.0, 2.0 * math.pi))
     off = BASE_M * np.array([math.cos(heading), math.sin(heading), 0.0])

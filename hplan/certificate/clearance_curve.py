@@ -29,7 +29,7 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arguments import check_integer
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen
-from hplan.certificate.clearance_proof import Advancement, Proof, place_after, point_at
+from hplan.certificate.clearance_proof import Advancement, Proof, at_place, place_after, point_at
 from hplan.certificate.pushes import pushes_along
 from hplan.certificate.segment_contacts import Push, SegmentContacts
 from hplan.collision.coal_scene import CoalScene
@@ -314,14 +314,14 @@ def _looks(search: Advancement, bezier: FloatArray, checker: CoalScene, counted:
     far_error = 1e-3
     while True:
         search.place(point_at(bezier, place), place)
-        nearest = float(checker.distances_of(np.array([pair]))[0] + counted[pair])
-        now, sways = _interpolate_samples(travel, place), _interpolate_samples(sway, place)
+        nearest = float(search.distances_of(np.array([pair]), place)[0] + counted[pair])
+        now, sways = at_place(travel, place), at_place(sway, place)
         forward = lower - (now - travelled)[mover_of]
         # Pairs that may be nearer than this one before the next station; they may shorten the step to it.
-        ahead = _interpolate_samples(travel, stations.next_station(place, nearest))
+        ahead = at_place(travel, stations.next_station(place, nearest))
         asked = np.flatnonzero(forward - (ahead - now)[mover_of] < nearest)
         if len(asked):
-            distances = checker.distances_of(asked) + counted[asked]
+            distances = search.distances_of(asked, place) + counted[asked]
             pair = int(asked[ties.argmin(distances)])
             nearest = float(distances.min())
             least = distances * (1.0 - far_error * np.sign(distances)) - errors[asked]
@@ -329,6 +329,8 @@ def _looks(search: Advancement, bezier: FloatArray, checker: CoalScene, counted:
             known[asked] = np.maximum(forward[asked], least)
         else:
             known = forward
+        # By its closed mesh a pair is farther apart than by the piece that is measured here.
+        nearest = max(nearest, float(known.min()))
         if place > 0.0:
             between = 0.5 * (forward + known) - np.maximum(swayed, sways)[mover_of]
             bound = float(between.min()) if place <= search.bounded else -np.inf
@@ -336,13 +338,6 @@ def _looks(search: Advancement, bezier: FloatArray, checker: CoalScene, counted:
         if place >= end:
             return
         lower, travelled, swayed, place = known, now, sways, stations.next_station(place, nearest)
-
-
-def _interpolate_samples(values: FloatArray, place: float) -> FloatArray:
-    """Linear interpolation of (bodies, segments + 1) sample values, (bodies,)."""
-    row = min(int(place), values.shape[1] - 2)
-    result: FloatArray = values[:, row] + (place - row) * (values[:, row + 1] - values[:, row])
-    return result
 
 
 def _lower_of_both(bounds: FloatArray) -> FloatArray:

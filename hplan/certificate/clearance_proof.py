@@ -13,6 +13,9 @@ gap, another query follows in its middle. Before coal is called, boxes around th
 pair is too near, the proof continues as far as possible without querying ahead; if it has to give up, the rest of the
 motion is searched for the minimum distance.
 
+A pair that is too near by the hull or a piece of a closed mesh counts by its triangles (`hplan.collision.coal_meshes`):
+the part of the solid in the piece is at least as far away as either. Its travel is at most that of the piece.
+
 `hplan.certificate.motion_bound` bounds the travel of a moving body within a segment of the motion, and its displacement
 by tracking errors. Two parts that can never be as far apart as required must not touch
 (`hplan.collision.self_pairs`).
@@ -294,6 +297,9 @@ class Advancement:
             self.place(q, at)
             distances = self._checker.distances_of(pairs)
         distance, pair, is_far, looks, count, there = _record_query(pairs, distances, at, self._ahead, self._search)
+        if not is_far:
+            distances = self._by_meshes(pairs, distances, at)
+            distance, pair, is_far, looks, count, there = _record_query(pairs, distances, at, self._ahead, self._search)
         self.looks += looks
         if distance < self.nearest[0]:
             self.nearest = distance, pair, at
@@ -303,6 +309,22 @@ class Advancement:
             return None
         self._only_forward()
         return pairs[:0], at, q
+
+    def distances_of(self, pairs: IntArray, at: float) -> FloatArray:
+        """Distances of (k,) pairs at a place, where the arm was placed last, (k,) [m]."""
+        return self._by_meshes(pairs, self._checker.distances_of(pairs), at)
+
+    def _by_meshes(self, pairs: IntArray, distances: FloatArray, at: float) -> FloatArray:
+        """Distances in which pairs that are too near by hulls or pieces of closed meshes count by the meshes."""
+        kept = self.pairs[0, pairs]
+        spare_clearances = distances - kept - at_place(self.movers[0][self.mover_of[pairs]], at)
+        # The depth of a contact is known by hulls alone, so compliant obstacles count by these.
+        close = np.flatnonzero((kept >= 0.0) & ~(spare_clearances > SMALLEST_STEP))
+        if not len(close):
+            return distances
+        found = distances.copy()
+        found[close] = np.maximum(found[close], self._checker.mesh_distances(pairs[close]))
+        return found
 
     def _only_forward(self) -> None:
         """Continue from the certified part without querying ahead.
@@ -361,7 +383,7 @@ class Advancement:
             pairs = []
             while due and due[0][0] == sample:
                 pairs.append(heapq.heappop(due)[1])
-            for pair, distance in zip(pairs, self._checker.distances_of(np.array(pairs)).tolist(), strict=True):
+            for pair, distance in zip(pairs, self.distances_of(np.array(pairs), at).tolist(), strict=True):
                 displacement = float(_linear(sway[mover_of[pair]], at))
                 self.is_violated |= distance - displacement <= self.pairs[0, pair]
                 nearer = distance + float(self._counted[pair]) - displacement
@@ -456,6 +478,13 @@ def _linear(values: FloatArray, at: float) -> float:
     row = min(int(at), len(values) - 2)
     value: float = values[row] + (at - row) * (values[row + 1] - values[row])
     return value
+
+
+def at_place(values: FloatArray, at: float) -> FloatArray:
+    """(k,) values at a place of (k, samples) functions linear between the samples."""
+    row = min(int(at), values.shape[1] - 2)
+    found: FloatArray = values[:, row] + (at - row) * (values[:, row + 1] - values[:, row])
+    return found
 
 
 @kernel

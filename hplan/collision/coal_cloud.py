@@ -74,16 +74,24 @@ class BareShape(NamedTuple):
             thin = cls(needle, *_core_box(needle), radius + shape.radius - _THIN)
         return cls(shape, *_core_box(shape), radius, thin)
 
+    @classmethod
+    def from_tree(cls, tree: coal.BVHModelBase) -> BareShape:
+        """A surface of triangles."""
+        return cls(tree, *_core_box(tree), 0.0)
+
 
 class PointBlocks:
     """The points of a cloud, without their radius, in blocks of neighbours.
 
     The blocks are the leaves of the cloud's tree. Safe for use from several threads.
+
+    Attributes:
+        points: (n, 3) the points [m].
     """
 
     def __init__(self, points: FloatArray, nodes: FloatArray) -> None:
         """Take a cloud's points and tree nodes, as in `hplan.geometry.cloud.Cloud`."""
-        self._points, self._nodes = points, nodes
+        self.points, self._nodes = points, nodes
         self._trees: dict[int, coal.BVHModelOBBRSS] = {}
 
     @classmethod
@@ -108,7 +116,7 @@ class PointBlocks:
         least, bound, block = math.inf, -math.inf, -1
         while True:
             limit = min(least, most + shape.radius) + shape.rounding
-            bound, block = nearest_block(place, shape.core, (self._nodes, self._points), (bound, block), limit)
+            bound, block = nearest_block(place, shape.core, (self._nodes, self.points), (bound, block), limit)
             if block < 0 or least <= 0.0:
                 if least <= 0.0 and shape.thin is not None:
                     return self.distance(shape.thin, placement)
@@ -121,7 +129,7 @@ class PointBlocks:
         tree = self._trees.get(block)
         if tree is None:
             first, last = self._nodes[block, :2].astype(np.int64)
-            inside = self._points[first:last]
+            inside = self.points[first:last]
             corners = (inside[:, None] + _SPECK_CORNERS).reshape(-1, 3)
             tree = self._trees[block] = triangle_tree(corners, np.arange(len(corners)).reshape(-1, 3))
         return tree

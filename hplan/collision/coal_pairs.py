@@ -12,7 +12,7 @@ import itertools
 import threading
 from collections.abc import Iterable, Sequence
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -20,6 +20,10 @@ import pinocchio as pin
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.deadline import check_deadline
 from hplan.collision.coal_cloud import BareShape, PointBlocks
+from hplan.collision.coal_meshes import ClosedMesh
+
+#: The meshes of a pair's shapes; None for a shape without one.
+MeshPair: TypeAlias = tuple[ClosedMesh | None, ClosedMesh | None]
 
 #: Maximum number of obstacles in one geometry model.
 _CHUNK: Final = 128
@@ -244,6 +248,37 @@ class GeometryPairs:
         near = np.array(found, dtype=np.float64)
         return near if query.nearer is None else near - query.nearer[pairs]
 
+    def mesh_distances(self, pairs: IntArray, meshes: Sequence[MeshPair]) -> FloatArray:
+        """Distances of (k,) pairs at the last placement by meshes in place of shapes, (k,) [m].
+
+        Args:
+            pairs: Indices of pairs.
+            meshes: The meshes of both shapes of each pair; None where its shape counts. A pair with a cloud needs one.
+
+        Returns:
+            Distances, or -inf for pairs in contact, whose depth is unknown.
+        """
+        query, found = self._query, []
+        for (first, second), part, local in zip(
+            meshes, self._part_of[pairs].tolist(), self._local[pairs].tolist(), strict=True
+        ):
+            if part < 0:
+                found.append(-np.inf if first is None else first.cloud_distance(*self._placed_cloud(query, local)))
+                continue
+            geometry, placed = self._geometries[part], self._placed_data(query, part)
+            pair = geometry.collisionPairs[local]
+            places = [placed.oMg[number] for number in (pair.first, pair.second)]
+            solids = [
+                BareShape.strip(geometry.geometryObjects[number].geometry) if mesh is None else mesh
+                for number, mesh in ((pair.first, first), (pair.second, second))
+            ]
+            if first is None:
+                solids, places = solids[::-1], places[::-1]
+            mesh = solids[0]
+            found.append(mesh.distance(places[0], solids[1], places[1]) if isinstance(mesh, ClosedMesh) else -np.inf)
+        near = np.array(found, dtype=np.float64)
+        return near if query.nearer is None else near - query.nearer[pairs]
+
     def in_collision(self, configurations: FloatArray, margins: FloatArray) -> BoolArray:
         """(n,) mask of configurations that violate some pair's margin.
 
@@ -269,11 +304,16 @@ class GeometryPairs:
 
     def _cloud_distance(self, query: _QueryData, local: int) -> float:
         """Signed distance of a cloud pair at the last placement [m]."""
+        place, cloud = self._placed_cloud(query, local)
+        return cloud.distance(self._movers[local // len(self._clouds)], place)
+
+    def _placed_cloud(self, query: _QueryData, local: int) -> tuple[pin.SE3, PointBlocks]:
+        """Pose of the shape of a cloud pair in the cloud's frame at the last placement, and the cloud."""
         mover, cloud = divmod(local, len(self._clouds))
         place = self._placed_data(query, 0).oMg[mover]
         if cloud in query.clouds:
             place = query.clouds[cloud] * place
-        return self._clouds[cloud][1].distance(self._movers[mover], place)
+        return place, self._clouds[cloud][1]
 
     def _placed_data(self, query: _QueryData, part: int) -> pin.GeometryData:
         """Return a model's data with its shapes at the last placement."""

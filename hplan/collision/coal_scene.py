@@ -36,8 +36,9 @@ from hplan.collision.coal_boxes import (
 )
 from hplan.collision.coal_cloud import distance_from, obstacle_shapes
 from hplan.collision.coal_moving_solids import MovingSolids
-from hplan.collision.coal_pairs import GeometryPairs
+from hplan.collision.coal_pairs import GeometryPairs, MeshPair
 from hplan.collision.coal_shapes import beyond_geometry
+from hplan.collision.collision_bodies import closed_meshes
 from hplan.collision.compliant_solids import maximum_deflection, pushing_links
 from hplan.collision.distance_checker import FAR
 from hplan.collision.self_pairs import required_distances
@@ -490,6 +491,25 @@ class CoalScene:
     def shape_distances(self, pairs: IntArray) -> FloatArray:
         """Signed distances of the shapes of some `pairs` at the last placement, nothing subtracted, (k,) [m]."""
         return self._geometry.distances_of(pairs)
+
+    def mesh_distances(self, pairs: IntArray) -> FloatArray:
+        """Distances of some `pairs` by closed meshes in place of their hulls and pieces, (k,) indices -> (k,) [m].
+
+        At the last placement. -inf for pairs without such a mesh, and in contact.
+        """
+        meshes = [self._meshes_of(pair) for pair in pairs.tolist()]
+        found, has_mesh = np.full(len(pairs), -np.inf), np.array([any(both) for both in meshes])
+        chosen = np.flatnonzero(has_mesh)
+        found[chosen] = self._geometry.mesh_distances(pairs[chosen], [meshes[k] for k in chosen])
+        return found - self._taken_off[pairs]
+
+    def _meshes_of(self, pair: int) -> MeshPair:
+        """The meshes of both shapes of a pair."""
+        meshes, obstacles = closed_meshes(self.robot), self._beyond.size
+        if pair < obstacles:
+            return meshes.get(id(self._mover_shapes[pair // self.own_first])), None
+        first, second = self.parts.own[pair - obstacles].shapes
+        return meshes.get(id(first)), meshes.get(id(second))
 
     def whole_fruit_pairs(self, pairs: IntArray) -> IntArray:
         """For `pairs` with a hanging fruit those with the whole fruit, (k,); -1 for others.

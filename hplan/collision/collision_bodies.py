@@ -25,11 +25,12 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, IntArray, Record, readonly
+from hplan.collision.coal_meshes import ClosedMesh
 from hplan.errors import RobotFileError
 from hplan.geometry.coal_hull import convex_hull_shape, convex_shape
 from hplan.geometry.convex_decomposition import convex_pieces
 from hplan.geometry.hull import CUBE_CORNERS, hull_of, thickening_shifts
-from hplan.robot.model import Robot
+from hplan.robot.model import Robot, made_once
 
 #: Joint index of bodies that no joint moves.
 GROUND: Final = -1
@@ -99,6 +100,33 @@ def body_shapes(robot: Robot) -> tuple[pin.GeometryObject, ...]:
     piece) with all vertices. Names are the bodies' names with a number.
     """
     return tuple(shape for _, shape in _build_bodies(robot))
+
+
+@made_once
+def closed_meshes(robot: Robot) -> dict[int, ClosedMesh]:
+    """Meshes of the bodies that contain more than the URDF's closed mesh, by identity of their `body_shapes`."""
+    loaded = robot.loaded
+    shapes, found = list(loaded.collision_model.geometryObjects), dict[int, ClosedMesh]()
+    by_shape = dict[int, ClosedMesh | None]()
+    for body, shape in _build_bodies(loaded):
+        if body.kind in ("mesh hull", "mesh piece") and body.shapes:
+            number = body.shapes[0]
+            if number not in by_shape:
+                by_shape[number] = _closed_mesh(shapes[number].geometry)
+            mesh = by_shape[number]
+            if mesh is not None:
+                found[id(shape)] = mesh
+    return found
+
+
+def _closed_mesh(mesh: coal.CollisionGeometry) -> ClosedMesh | None:
+    """The closed surface of a mesh; None if it is open, or no mesh."""
+    if not isinstance(mesh, coal.BVHModelBase):
+        return None
+    vertices, faces = np.asarray(mesh.vertices(), dtype=np.float64), _faces_of(mesh)
+    if not _is_closed(faces):
+        return None
+    return ClosedMesh(vertices, _orient_triangles(vertices, faces), _connected_parts(len(vertices), faces))
 
 
 def reuse_bodies(robot: Robot, before: Robot) -> None:
@@ -221,9 +249,14 @@ def _primitive(geometry: coal.CollisionGeometry) -> _Solid | None:
 
 def _mesh(mesh: coal.BVHModelBase) -> tuple[_Solid, ...]:
     """Hull of a mesh, or the hulls of its convex pieces."""
+    points = np.asarray(mesh.vertices(), dtype=np.float64).tobytes()
+    return _of_mesh(points, _faces_of(mesh).tobytes(), MOST_BODY_POINTS)
+
+
+def _faces_of(mesh: coal.BVHModelBase) -> IntArray:
+    """(m, 3) vertex indices of the triangles of a mesh."""
     corners = (mesh.tri_indices(number) for number in range(mesh.num_tris))
-    faces = np.array([[three[0], three[1], three[2]] for three in corners], dtype=np.int64)
-    return _of_mesh(np.asarray(mesh.vertices(), dtype=np.float64).tobytes(), faces.tobytes(), MOST_BODY_POINTS)
+    return np.array([[three[0], three[1], three[2]] for three in corners], dtype=np.int64)
 
 
 # Cached by content: the arms of a workcell, alone and combined into one robot, have the same meshes.
@@ -285,14 +318,20 @@ def _orient_triangles(vertices: FloatArray, faces: IntArray) -> IntArray:
 
     Parts face inward if a scale mirrors them or if they bound a cavity. Cavities then count as solid.
     """
+    part = _connected_parts(len(vertices), faces)
+    inside_out = np.bincount(part, weights=_volumes(vertices, faces)) < 0.0
+    return np.where(inside_out[part][:, None], faces[:, ::-1], faces)
+
+
+def _connected_parts(vertices: int, faces: IntArray) -> IntArray:
+    """(m,) number of the connected part of each triangle of a surface with this many vertices."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     rows, columns = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()
-    linked = coo_array((np.ones(len(rows)), (rows, columns)), shape=(len(vertices), len(vertices)))
-    part = connected_components(linked, directed=False)[1][faces[:, 0]]
-    inside_out = np.bincount(part, weights=_volumes(vertices, faces)) < 0.0
-    return np.where(inside_out[part][:, None], faces[:, ::-1], faces)
+    linked = coo_array((np.ones(len(rows)), (rows, columns)), shape=(vertices, vertices))
+    part: IntArray = connected_components(linked, directed=False)[1][faces[:, 0]]
+    return part
 
 
 def _prism(radius: float, half_length: float) -> FloatArray:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -20,17 +20,19 @@ import numpy as np
 from studies.harness import Row, Study, StudyConfig
 from studies.measure import planned
 
-from hplan.apps.execution.bending_wood import BendingTrees, WoodBodies
+from hplan.apps.execution.bending_wood import BendingTrees, WoodBodies, set_solver
 from hplan.apps.execution.simulated_arm import Plant, import_mujoco
 from hplan.apps.execution.simulation import execute, picks_in
 from hplan.apps.execution.tree_response import TreeMonitor
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.certificate.goal_displacement import Grasp, displacement_at
 from hplan.certificate.segment_contacts import CONTACT, SegmentContacts
+from hplan.collision.coal_scene import base_contacts
 from hplan.collision.compliant_solids import LIMB_SHARE
 from hplan.errors import InputError
 from hplan.planning.options import PlanOptions
 from hplan.planning.reachable import reachable
+from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.scene.fruit import Fruit
 from hplan.scene.limbs import Limbs, find_parents
@@ -309,14 +311,23 @@ def _moving(config: StudyConfig, push: TreePush) -> Row | None:
         monitor.max_stress_pa[roots == root].max() for root in loads.root[bent.order[bent.first]].tolist()
     ])  # fmt: skip
     stress_ratio = float((stresses / bent.stress).max())
-    fruit_ratio = 0.0
-    for name, limit in tree.hanging.items():
-        bound = displacement_at(pushed, Grasp(name, limit, 1.0, 1.0))
-        if bound > 0.0 and name in moved:
-            fruit_ratio = max(fruit_ratio, moved[name] / bound)
+    depths = dict[str, float]()
+    for number, depth in zip(pushed.rows["limit"].tolist(), pushed.rows["depth"].tolist(), strict=True):
+        limit = pushed.limits[number]
+        if limit is not None:
+            name = tree.limbs.names[limit.segment]
+            depths[name] = max(depths.get(name, 0.0), depth)
+    deflections = [one.deflection_m / depths[one.limb] for one in contacts if one.limb in depths]
+    fruit_ratio, fruit_m, fruit_bound_m = 0.0, 0.0, 0.0
+    for name, distance in moved.items():
+        bound = displacement_at(pushed, Grasp(name, tree.hanging[name], 1.0, 1.0)) if name in tree.hanging else 0.0
+        if bound > 0.0 and distance / bound > fruit_ratio:
+            fruit_ratio, fruit_m, fruit_bound_m = distance / bound, distance, bound
     return {
         "name": push.name, "tree": push.tree.stem, "touched": any(one.limb in forces for one in contacts),
         "force_ratio": force_ratio, "stress_ratio": stress_ratio, "fruit_ratio": fruit_ratio,
+        "deflection_ratio": max(deflections, default=0.0), "fruit_mm": 1e3 * fruit_m,
+        "fruit_bound_mm": 1e3 * fruit_bound_m,
         "force_n": max((one.force_n for one in contacts if one.limb in forces), default=0.0),
         "force_bound_n": max(forces.values()), "static_n": float(loads.static.max()),
         "stress_mpa": 1e-6 * float(stresses.max()), "stress_bound_mpa": 1e-6 * float(bent.stress.max()),
@@ -403,6 +414,7 @@ def _simulate(
     names = {limbs.names[row] for row in np.flatnonzero(family).tolist()}
     spec = mujoco.MjSpec()
     spec.option.timestep = STEP_S
+    set_solver(mujoco, spec, sleeps=False)
     bodies = WoodBodies(mujoco, spec, limbs, tree.scene.wood or Wood(), BendingTrees(youngs_modulus_gpa=modulus_gpa))
     bodies.add_limbs(names)
     bodies.add_fruits(fruits, (), without_contact=[fruit.name for fruit in fruits])
@@ -449,6 +461,8 @@ WOOD_MOVING = Study(
             "force_ratio",
             "stress_ratio",
             "fruit_ratio",
+            "fruit_mm",
+            "deflection_ratio",
             "force_n",
             "force_bound_n",
             "static_n",
@@ -483,8 +497,8 @@ ROUNDING_M = 1e-9
 PICK_TRACKING_RAD, PICK_PLANT = 2e-5, Plant(bandwidth=200.0, decoupled=True)
 
 
-def _drawn_pick(config: StudyConfig, robot: Robot, problem: TreePush) -> Scene | None:
-    """The tree at a random place, with the first of some random fruit that can be picked as the goal; None for none.
+def _pick_scenes(config: StudyConfig, robot: Robot, problem: TreePush) -> Iterator[Scene]:
+    """The tree at a random place, with random fruit that can be picked as the goal.
 
     `--values clearance=0.02` sets the clearance from rigid obstacles [m]: a larger one leads to more pushes.
     """
@@ -492,26 +506,43 @@ def _drawn_pick(config: StudyConfig, robot: Robot, problem: TreePush) -> Scene |
     options = MeasuredOptions(
         distance=float(random.uniform(*PICK_DISTANCES)), yaw_deg=float(random.uniform(*PICK_TURNS))
     )
-    scene = with_limbs(measured_orchard([problem.tree], options)).shift((0.0, float(random.uniform(*PICK_SIDES)), 0.0))
-    scene = scene.with_values(clearance=config.values.get("clearance", (scene.clearance,))[0])
+    tree = measured_orchard([problem.tree], options).shift((0.0, float(random.uniform(*PICK_SIDES)), 0.0))
+    if base_contacts(robot, tree.solids):  # the tree stands in the arm
+        return
+    scene = with_limbs(tree).with_values(clearance=config.values.get("clearance", (tree.clearance,))[0])
     near = sorted(scene.fruits, key=lambda fruit: float(np.linalg.norm(fruit.center[:2])))[:PICK_AMONG]
     some = random.permutation([fruit.name for fruit in near]).tolist()
     try:
         found = reachable(robot, scene, fruits=some) if some else {}
     except InputError:  # the arm has no room
-        return None
-    goal = next((name for name in some if found[name].can_be_picked), None)
-    return None if goal is None else scene.with_values(goal=Goal(fruit=goal))
+        return
+    for name in some:
+        if found[name].can_be_picked:
+            yield scene.with_values(goal=Goal(fruit=name))
+
+
+def _drawn_pick(
+    config: StudyConfig, robot: Robot, problem: TreePush, options: PlanOptions
+) -> tuple[Scene, PlanResult | None, Row] | None:
+    """A pick and its plan; None without a fruit.
+
+    With `--values pushed=1`, the first one whose fruit may be displaced by pushes; None without any.
+    """
+    is_pushed = bool(config.values.get("pushed", (0,))[0])
+    for scene in itertools.islice(_pick_scenes(config, robot, problem), None if is_pushed else 1):
+        result, row = planned(robot, scene, options)
+        if not is_pushed or (result is not None and (result.certificate.goal_displacement_m or 0.0) > 0.0):
+            return scene, result, row
+    return None
 
 
 def _pick(config: StudyConfig, problem: TreePush) -> Row | None:
     """A certified pick, executed among trees that bend; forces relative to the certificate's bounds."""
     robot = config.arm("orchard_harvester")
-    scene = _drawn_pick(config, robot, problem)
-    if scene is None:
+    drawn = _drawn_pick(config, robot, problem, PlanOptions(effort=config.effort, tracking_error=PICK_TRACKING_RAD))
+    if drawn is None:
         return None
-    options = PlanOptions(effort=config.effort, tracking_error=PICK_TRACKING_RAD)
-    result, row = planned(robot, scene, options)
+    scene, result, row = drawn
     row |= {"name": problem.name, "tree": problem.tree.stem}
     if result is None or not result.certificate.verified:
         return row

@@ -122,6 +122,20 @@ def test_swept_shoot_bends_and_springs_back(swept: Execution) -> None:
     assert swept.ended_at_goal
 
 
+def test_sleep_and_the_dual_solver_change_nothing(
+    robot: Robot, swept: Execution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hplan.apps.execution.simulated_arm.set_solver", lambda *_, **__: None)
+    awake = sweep(robot, SHOOT, TWIG, fruits=(fruit("apple", 0.0, 1.4, 1.25),)).trees
+    assert awake is not None
+    assert swept.trees is not None
+    for one, other in zip(swept.trees.contacts, awake.contacts, strict=True):
+        assert (one.limb, one.link) == (other.limb, other.link)
+        for name in ("begin_s", "end_s", "force_n", "stress_mpa", "deflection_m"):
+            assert getattr(one, name) == pytest.approx(getattr(other, name), rel=1e-4)
+    assert dict(swept.trees.fruit_displacement_m) == pytest.approx(awake.fruit_displacement_m, rel=1e-4)
+
+
 def test_fruit_is_knocked_off_by_a_fast_arm_and_a_weak_stalk(robot: Robot) -> None:
     apple = fruit("apple", 0.0, 1.4, 1.25)
     strong = sweep(robot, SHOOT, fruits=(apple,), stalk_strength_n=1e4).trees

@@ -312,4 +312,4 @@ def test_a_trial_in_the_wind(tmp_path: Path) -> None:
     assert trial["planned"] == trial["picked"] == 1
     assert trial["broken"] == trial["knocked_off"] == trial["rigid_contacts"] == 0
     assert not trial["diverged"]
-    assert trial["tracking_mrad"] < 5.0
+    assert trial["tracking_mrad"] < 0.5  # the tracking error that the certificate covers

@@ -53,6 +53,9 @@ _IMPEDANCE, _INVERSE_MASS = 0.1, 1000.0
 #: Damping ratio of contacts, for a mass of 5 g [kg].
 _CONTACT_DAMPING_RATIO, _CONTACT_MASS = 0.1, 0.005
 
+#: Limbs slower than this may sleep [rad/s], and relative tolerance of the contact solver.
+_SLEEP_TOLERANCE, _SOLVER_TOLERANCE = 1e-6, 1e-10
+
 
 @dataclass(frozen=True)
 class BendingTrees(Options):
@@ -355,6 +358,23 @@ class WoodBodies:
         factor = (1.0 - _IMPEDANCE) * _INVERSE_MASS
         model.geom_solref[geoms] = [-factor * stiffness, -factor * damping]
         model.geom_solimp[geoms] = [_IMPEDANCE, _IMPEDANCE, 1e-3, 0.5, 2.0]
+
+
+def set_solver(mujoco: ModuleType, spec: Any, *, sleeps: bool) -> None:
+    """Make the simulation of trees cheap.
+
+    The dual solver's effort grows with the number of contacts, that of the others with the number of joints. Limbs that
+    sleep are not simulated until they are touched; at rest and without wind this changes nothing.
+
+    Args:
+        mujoco: The module.
+        spec: The `MjSpec` to change.
+        sleeps: True to let limbs sleep.
+    """
+    spec.option.solver, spec.option.tolerance = mujoco.mjtSolver.mjSOL_PGS, _SOLVER_TOLERANCE
+    if sleeps:
+        spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+        spec.option.sleep_tolerance = _SLEEP_TOLERANCE
 
 
 def _largest_eigenvalue(matrix: FloatArray) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from hplan.apps.execution.bending_wood import BendingTrees, WoodBodies
+from hplan.apps.execution.bending_wood import BendingTrees, WoodBodies, set_solver
 from hplan.apps.execution.tree_response import TreeMonitor
 from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray, IntArray, numbers
@@ -125,6 +125,8 @@ def mujoco_model(
         motor.ctrllimited, motor.ctrlrange = True, [-limit, limit]
     names = {}
     wood = None if trees is None else _add_wood(mujoco, spec, scene, trees, bending)
+    if trees is not None:
+        set_solver(mujoco, spec, sleeps=trees.wind is None)
     bent = set() if wood is None else set(wood.obstacle_of.values())
     for number, obstacle in enumerate(solids):
         if obstacle.name in bent:
@@ -321,6 +323,7 @@ class SimulatedArm:
         joints = [self._model.joint(name) for name in robot.joint_names]
         self._q_at = np.array([int(joint.qposadr[0]) for joint in joints])
         self._v_at = np.array([int(joint.dofadr[0]) for joint in joints])
+        self._link_of = [self._model.body(body).name for body in self._model.geom_bodyid.tolist()]
         self._motors = np.array([self._model.actuator(name).id for name in robot.joint_names])
         self._pin_data = robot.model.createData()
         self._touched: dict[tuple[str, str], Touch] = {}
@@ -484,10 +487,9 @@ class SimulatedArm:
         wood: dict[tuple[str, str], list[int]] = {}
         for number in range(self._data.ncon):
             contact = self._data.contact[number]
-            geoms = [int(geom) for geom in contact.geom]
-            obstacle = next(self._obstacle_of[geom] for geom in geoms if geom in self._obstacle_of)
-            other = next(geom for geom in geoms if geom not in self._obstacle_of)
-            link = self._model.body(self._model.geom_bodyid[other]).name
+            geoms = contact.geom.tolist()
+            one, other = geoms if geoms[0] in self._obstacle_of else geoms[::-1]
+            obstacle, link = self._obstacle_of[one], self._link_of[other]
             if self.trees is not None and obstacle in self.trees.measured:
                 wood.setdefault((link, obstacle), []).append(number)
                 continue

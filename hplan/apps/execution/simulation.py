@@ -23,8 +23,9 @@ MuJoCo comes with the extra `execution`: `pip install 'hplan[execution]'`.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
@@ -171,8 +172,7 @@ class Execution(Record):
             the arm.
         torque_limit_nm: (dof,) torque limits of the motors [N m].
         saturated_s: Time during which a commanded torque exceeded its limit [s].
-        nearest: Link and obstacle at the minimum distance over all of `time`, by coal with capsule links; None without
-            obstacles.
+        find_nearest: Function of `position` that computes `nearest`.
         time: (k,) instants of the controller [s].
         position: (k, dof) measured joint positions [rad]; NaN after the simulation diverged.
         reference: (k, dof) reference positions [rad].
@@ -194,13 +194,21 @@ class Execution(Record):
     peak_torque_nm: tuple[float, ...]
     torque_limit_nm: tuple[float, ...]
     saturated_s: float
-    nearest: Contact | None
+    find_nearest: Callable[[FloatArray], Contact | None]
     time: FloatArray
     position: FloatArray
     reference: FloatArray
     reference_velocity: FloatArray
     torque: FloatArray
     trees: TreeResponse | None = None
+
+    @cached_property
+    def nearest(self) -> Contact | None:
+        """Link and obstacle at the minimum distance over all of `time`, by coal with capsule links.
+
+        None without obstacles.
+        """
+        return self.find_nearest(self.position)
 
     def is_within(self, tracking: TrackingModel) -> bool:
         """True if all tracking errors are within a tracking model's bounds."""
@@ -379,6 +387,7 @@ def _track_reference(
     position = np.full_like(q_ref, np.nan)
     torque = np.zeros_like(q_ref)
     displacement: dict[str, float] = {}
+    ended = int(np.flatnonzero(clock <= duration + 1e-9)[-1])
     changes = [(pick.touched_s, arm.ignore_contacts, pick.fruit) for pick in picks]
     changes += [(pick.picked_s, arm.pass_through, pick.fruit) for pick in picks]
     changes.sort(key=itemgetter(0), reverse=True)
@@ -390,7 +399,7 @@ def _track_reference(
         if arm.trees is not None:
             if is_due or k % _RECORD_TICKS == 0:
                 arm.trees.record()
-            if clock[k] <= duration + 1e-9:
+            if ended == k:
                 displacement = arm.trees.fruit_displacement_m()
         while changes and changes[-1][0] <= clock[k] + 1e-9:
             _, change, fruit = changes.pop()
@@ -424,7 +433,7 @@ def _track_reference(
         peak_torque_nm=tuple(np.abs(torque).max(axis=0).tolist()),
         torque_limit_nm=tuple(limit.tolist()),
         saturated_s=float((np.abs(torque) > limit).any(axis=1).sum() * CONTROL_PERIOD),
-        nearest=_nearest_contact(robot, scene, position, measured | {pick.fruit for pick in picks}),
+        find_nearest=partial(_nearest_contact, robot, scene, measured | {pick.fruit for pick in picks}),
         time=readonly(clock),
         position=readonly(position),
         reference=readonly(q_ref),
@@ -468,7 +477,7 @@ def _joints(robot: Robot, scene: Scene, which: str, end: FloatArray) -> FloatArr
     return robot.check_configuration(robot.turned_near(joints, end) if which == "goal" else joints, which)
 
 
-def _nearest_contact(robot: Robot, scene: Scene, position: FloatArray, left_out: Collection[str]) -> Contact | None:
+def _nearest_contact(robot: Robot, scene: Scene, left_out: Collection[str], position: FloatArray) -> Contact | None:
     """Contact at the minimum distance over all finite configurations.
 
     None without obstacles other than those left out.

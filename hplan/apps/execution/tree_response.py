@@ -116,6 +116,22 @@ class TreeResponse(Record):
         return 0.0
 
 
+@dataclass
+class _Extremes:
+    """The largest values of a contact until now, as in `LimbContact`."""
+
+    begin_s: float
+    is_fruit: bool
+    end_s: float = 0.0
+    force_s: float = 0.0
+    force_n: float = 0.0
+    stress_mpa: float = 0.0
+    deflection_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.force_s = self.begin_s
+
+
 class TreeMonitor:
     """Measures limbs and fruit during a simulation.
 
@@ -141,7 +157,13 @@ class TreeMonitor:
         #: Addresses of the joints' angles in bending.
         self._q_at = np.array(model.jnt_qposadr[joints[:, :2]], dtype=np.int64)
         self._stiffness = np.array(bodies.joints.stiffness)
-        self._segment = np.array(bodies.joints.segment, dtype=np.int64)
+        segment = np.array(bodies.joints.segment[0::2], dtype=np.int64)
+        #: First element of each segment that bends, and the segments; the elements of a segment follow each other.
+        self._first = np.flatnonzero(np.diff(segment, prepend=-1))
+        self._bent = segment[self._first]
+        #: Square of the bending stress by a unit of moment, of each element.
+        self._square_per_moment = (4.0 / (math.pi * bodies.limbs.radius[segment] ** 3)) ** 2
+        self._strength_pa = 1e6 * bodies.trees.wood_strength_mpa
         self._body_ids = np.array([model.body(name).id for name in bodies.body_names], dtype=np.int64)
         names = [fruit.name for fruit in bodies.fruits]
         self._fruit_ids = self._body_ids[len(joints) :]
@@ -156,11 +178,11 @@ class TreeMonitor:
         }
         self._pieces = self._pieces_of_bodies()
         #: Speeds of the wind at multiples of `_GUST_S`.
-        self._wind_speeds = np.zeros(0)
+        self._wind_speeds, self._gust = np.zeros(0), -1
         self.max_stress_pa = np.zeros(len(bodies.limbs.names))
         self._stress = self.max_stress_pa.copy()
         self._last_contact_s = -math.inf
-        self._contacts: dict[tuple[str, str], LimbContact] = {}
+        self._contacts: dict[tuple[str, str], _Extremes] = {}
         self._broken: dict[str, Damage] = {}
         self._knocked_off: dict[str, Damage] = {}
         #: Time, place and velocity of each fruit when it was released.
@@ -194,43 +216,36 @@ class TreeMonitor:
             geom = next(int(geom) for geom in contact.geom if int(geom) in self._rest_of)
             body = int(model.geom_bodyid[geom])
             local = data.xmat[body].reshape(3, 3).T @ (contact.pos - data.xpos[body])
-            deflection = max(deflection, float(np.linalg.norm(contact.pos - local - self._rest_of[geom])))
+            deflection = max(deflection, math.dist(contact.pos - local, self._rest_of[geom]))
         is_fruit = obstacle not in self._limb_rows
         path = () if is_fruit else self.bodies.limbs.path(self._limb_rows[obstacle])
         stress = 1e-6 * max((float(self._stress[row]) for row in path), default=0.0)
-        known = self._contacts.get((link, obstacle))
-        if known is None:
-            known = LimbContact(obstacle, link, time_s, time_s, time_s, 0.0, 0.0, 0.0, is_fruit)
-        self._contacts[link, obstacle] = LimbContact(
-            obstacle,
-            link,
-            begin_s=known.begin_s,
-            end_s=time_s,
-            force_s=time_s if force > known.force_n else known.force_s,
-            force_n=max(force, known.force_n),
-            stress_mpa=max(stress, known.stress_mpa),
-            deflection_m=max(deflection, known.deflection_m),
-            is_fruit=is_fruit,
-        )
+        known = self._contacts.setdefault((link, obstacle), _Extremes(time_s, is_fruit))
+        known.end_s = time_s
+        if force > known.force_n:
+            known.force_n, known.force_s = force, time_s
+        known.stress_mpa, known.deflection_m = max(stress, known.stress_mpa), max(deflection, known.deflection_m)
 
     def _note_stress(self) -> None:
         """Update the bending stress of each segment; record broken ones."""
         self._stress = self.bending_stress()
-        self.max_stress_pa = np.maximum(self.max_stress_pa, self._stress)
-        for row in np.flatnonzero(self._stress > 1e6 * self.bodies.trees.wood_strength_mpa).tolist():
+        np.maximum(self.max_stress_pa, self._stress, out=self.max_stress_pa)
+        if self._stress.max(initial=0.0) <= self._strength_pa:
+            return
+        for row in np.flatnonzero(self._stress > self._strength_pa).tolist():
             name, stress = self.bodies.limbs.names[row], 1e-6 * float(self._stress[row])
             self._broken.setdefault(name, Damage(name, float(self._data.time), stress))
 
     def bending_stress(self) -> FloatArray:
         """(n,) largest bending stress of each limb in the current state [Pa]."""
-        limbs, found = self.bodies.limbs, np.zeros(len(self.bodies.limbs.names))
-        if len(self._segment):
+        found = np.zeros(len(self.bodies.limbs.names))
+        if len(self._bent):
             moment = self._stiffness[:, None] * self._data.qpos[self._q_at]
             first, second = moment[0::2], moment[1::2]
-            at_start = np.linalg.norm(first + _TO_START * (first - second), axis=1)
-            largest = np.maximum(at_start, np.linalg.norm(moment, axis=1).reshape(-1, 2).max(axis=1))
-            radius = limbs.radius[self._segment[0::2]]
-            np.maximum.at(found, self._segment[0::2], 4.0 * largest / (math.pi * radius**3))
+            at_start = first + _TO_START * (first - second)
+            squares = [np.einsum("ij,ij->i", each, each) for each in (at_start, first, second)]
+            largest = np.maximum(np.maximum(*squares[:2]), squares[2]) * self._square_per_moment
+            found[self._bent] = np.sqrt(np.maximum.reduceat(largest, self._first))
         return found
 
     def _note_stalks(self) -> None:
@@ -238,7 +253,10 @@ class TreeMonitor:
         if len(self._released) == len(self._fruit_rows):
             return
         self._mujoco.mj_rnePostConstraint(self._model, self._data)
-        forces = np.linalg.norm(self._data.cfrc_int[self._fruit_ids, 3:], axis=1)
+        forces = self._data.cfrc_int[self._fruit_ids, 3:]
+        forces = np.sqrt(np.einsum("ij,ij->i", forces, forces))
+        if forces.max() <= self.bodies.trees.stalk_strength_n:
+            return
         for row in np.flatnonzero(forces > self.bodies.trees.stalk_strength_n).tolist():
             name = self.bodies.fruits[row].name
             if name not in self._released:
@@ -259,16 +277,20 @@ class TreeMonitor:
             self._mujoco.mj_objectVelocity(self._model, self._data, kind, geom, velocity, 0)
             self._released[name] = float(self._data.time), np.array(self._data.geom_xpos[geom]), velocity[3:]
             self._model.geom_conaffinity[geom] = 0
+            self._data.xfrc_applied[body] = 0.0
             remaining = 1e-4  # MuJoCo refuses bodies without mass
             self._model.body_mass[body] *= remaining
             self._model.body_inertia[body] *= remaining
 
     def blow(self) -> None:
-        """Apply the wind of the present time to limbs and fruit."""
-        wind = self.bodies.trees.wind
-        if wind is None:
+        """Apply the wind of the present time to limbs and fruit.
+
+        Drag lasts as long as a speed of the wind: where limbs are at its start counts.
+        """
+        wind, row = self.bodies.trees.wind, int(self._data.time / _GUST_S)
+        if wind is None or row == self._gust:
             return
-        row = int(self._data.time / _GUST_S)
+        self._gust = row
         while row >= len(self._wind_speeds):
             self._wind_speeds = wind.speeds(max(10.0, 2.0 * len(self._wind_speeds) * _GUST_S), _GUST_S)
         speed = float(self._wind_speeds[row])
@@ -336,7 +358,7 @@ class TreeMonitor:
     def record(self) -> None:
         """Append the current poses to the recorded motion."""
         self._time.append(float(self._data.time))
-        limb_ids = self._body_ids[: len(self._segment)]
+        limb_ids = self._body_ids[: len(self._stiffness)]
         self._poses.append(
             (np.array(self._data.xpos[limb_ids]), np.array(self._data.xquat[limb_ids]), self.fruit_places)
         )
@@ -349,7 +371,20 @@ class TreeMonitor:
         """
         return TreeResponse(
             wood=self.bodies.wood,
-            contacts=tuple(self._contacts.values()),
+            contacts=tuple(
+                LimbContact(
+                    obstacle,
+                    link,
+                    one.begin_s,
+                    one.end_s,
+                    one.force_s,
+                    one.force_n,
+                    one.stress_mpa,
+                    one.deflection_m,
+                    one.is_fruit,
+                )
+                for (link, obstacle), one in self._contacts.items()
+            ),
             broken=tuple(self._broken.values()),
             knocked_off=tuple(self._knocked_off.values()),
             hung=frozenset(self._fruit_rows),
@@ -368,7 +403,7 @@ class TreeMonitor:
         shapes = self._shapes()
         origin, upright = np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]])
         bodies = [BodyMotion(*shapes[0], origin, upright)] if 0 in shapes else []
-        for row, body in enumerate(self._body_ids[: len(self._segment)].tolist()):
+        for row, body in enumerate(self._body_ids[: len(self._stiffness)].tolist()):
             start, end = shapes[body][1:3]
             ends = _transform(turn[row], np.concatenate([start, end])) + position[row][:, None]
             frames = slice(None if np.linalg.norm(ends - ends[0], axis=2).max() > visible else 1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import kernel
 from hplan.certificate.torque_bound import largest_torques
 from hplan.robot.model import Robot
+from hplan.trajectory.time_scaling import timing_limits
 from hplan.trajectory.trajectory import Trajectory
 
 #: A hull that exceeds the known maximum by at most this fraction counts as equal; and the maximum number of halvings.
@@ -44,12 +45,11 @@ class LimitUse:
             >>> LimitUse.largest([LimitUse(0.1, 0.9, 0.2, 0.3), LimitUse(0.2, 0.8, 0.1, 0.4)])
             LimitUse(position=0.2, velocity=0.9, acceleration=0.2, torque=0.4)
         """
-        return cls(*(max(uses) for uses in zip(*(astuple(part) for part in parts), strict=True)))
+        uses = ((part.position, part.velocity, part.acceleration, part.torque) for part in parts)
+        return cls(*map(max, zip(*uses, strict=True)))
 
 
-def limit_use(
-    robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration: FloatArray, first: int = 0
-) -> LimitUse:
+def limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration: FloatArray) -> LimitUse:
     """Bound the use of each limit over a motion's segments.
 
     The columns of the trajectory for velocity, acceleration and torque count as well. Position, velocity and
@@ -60,26 +60,56 @@ def limit_use(
     Args:
         bezier: (pieces, 4 or 6, dof) Bezier points of the trajectory's segments.
         duration: (pieces,) their durations [s].
-        first: Index of the first sample that counts.
     """
-    bezier, duration = bezier[first:], duration[first:]
-    at, fast, pushed, torques = (values[first:] for values in trajectory.rows[1:])
-    middle, half = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower)
-    offset, speed, push = _peaks(np.ascontiguousarray(bezier), duration, middle)
-    peak_velocity = np.maximum(speed, np.abs(fast).max(axis=0))
-    peak_acceleration = np.maximum(push, np.abs(pushed).max(axis=0))
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        position = offset / half
-    peak_torque = np.maximum(
-        largest_torques(robot.dynamics, bezier, duration, robot.torque_limit), np.abs(torques).max(axis=0)
-    )
-    has_jumps = trajectory.interpolation == "linear" and bool((np.diff(at, axis=0) != 0.0).any())
-    return LimitUse(
-        position=_finite_or_inf(position),
-        velocity=fraction_of(peak_velocity, robot.velocity_limit),
-        acceleration=math.inf if has_jumps else fraction_of(peak_acceleration, robot.acceleration_limit),
-        torque=math.inf if has_jumps else fraction_of(peak_torque, robot.torque_limit),
-    )
+    _, at, fast, pushed, turned = trajectory.rows
+    bounds = largest_torques(robot.dynamics, bezier, duration, robot.torque_limit)
+    joints = timing_limits(robot).joints
+    uses = _fractions(np.ascontiguousarray(bezier), duration, fast, pushed, turned, bounds, joints)
+    position, velocity, acceleration, torque = uses.tolist()
+    if trajectory.interpolation == "linear" and (np.diff(at, axis=0) != 0.0).any():
+        acceleration = torque = math.inf
+    return LimitUse(position, velocity, acceleration, torque)
+
+
+@kernel
+def _fractions(
+    bezier: FloatArray,
+    duration: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    torque: FloatArray,
+    bounds: FloatArray,
+    joints: FloatArray,
+) -> FloatArray:
+    """(4,) uses of position, velocity, acceleration and torque limits.
+
+    Args:
+        bezier: (pieces, 4 or 6, dof) Bezier points.
+        duration: (pieces,) durations [s].
+        velocity: (n, dof) velocities of the samples.
+        acceleration: (n, dof) accelerations of the samples.
+        torque: (n, dof) torques of the samples.
+        bounds: (dof,) bounds of |torque| at all times.
+        joints: The limits, as of `TimingLimits`.
+    """
+    dof = bezier.shape[2]
+    middle, half, turned, found = np.empty(dof), np.empty(dof), np.empty(dof), np.empty(4)
+    for j in range(dof):
+        middle[j], half[j] = 0.5 * (joints[0, j] + joints[1, j]), 0.5 * (joints[1, j] - joints[0, j])
+        turned[j] = bounds[j]
+    peaks = _peaks(bezier, duration, middle)
+    for j in range(dof):
+        for k in range(len(velocity)):
+            peaks[1, j] = _larger(peaks[1, j], velocity[k, j])
+            peaks[2, j] = _larger(peaks[2, j], acceleration[k, j])
+            turned[j] = _larger(turned[j], torque[k, j])
+    found[0] = 0.0
+    for j in range(dof):
+        found[0] = _larger(found[0], peaks[0, j] / half[j])
+    found[1] = fraction_of(peaks[1], joints[2])
+    found[2] = fraction_of(peaks[2], joints[3])
+    found[3] = fraction_of(turned, joints[4])
+    return found
 
 
 @kernel
@@ -147,13 +177,11 @@ def _larger(largest: float, value: float) -> float:
     return max(largest, abs(value)) if abs(value) < math.inf else math.inf
 
 
+@kernel
 def fraction_of(peak: FloatArray, limit: FloatArray) -> float:
-    """Maximum fraction of a limit; a resting joint may have limit zero."""
-    idle = (peak <= 1e-9) & (limit <= 0.0)
-    with np.errstate(over="ignore"):
-        return _finite_or_inf(np.where(idle, 0.0, peak / np.where(limit > 0.0, limit, 1e-300)))
-
-
-def _finite_or_inf(values: FloatArray) -> float:
-    """Maximum of the values, with NaN treated as infinity."""
-    return float(np.where(np.isnan(values), np.inf, values).max())
+    """Maximum fraction of (dof,) limits; a resting joint may have limit zero."""
+    largest = 0.0
+    for j in range(len(peak)):
+        if peak[j] > 1e-9 or limit[j] > 0.0:
+            largest = _larger(largest, peak[j] / (limit[j] if limit[j] > 0.0 else 1e-300))
+    return largest

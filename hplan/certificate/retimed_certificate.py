@@ -156,7 +156,8 @@ def _by_path(
     """
     motion, use, (upright, tracking), tilt = retimed.trajectory, running.limit_use, tool, None
     if retimed.row < motion.samples - 1:
-        use = LimitUse.largest([use, limit_use(robot, motion, *motion.segments, retimed.row)])
+        part = motion.cut_before(retimed.row)
+        use = LimitUse.largest([use, limit_use(robot, part, *part.segments)])
     violations = tuple(limit_violations(use))
     if upright is not None:
         tilt = tool_bounds(robot, motion, upright, tracking).tilt_rad

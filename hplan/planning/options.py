@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -119,7 +120,7 @@ class PlanOptions(Options):
         """Tracking error that motions allow for; none if they need no certificate."""
         return self.certified_tracking if self.certify else TrackingModel()
 
-    @property
+    @cached_property
     def certified_tracking(self) -> TrackingModel:
         """Tracking error that certificates cover, even if motions need no certificate."""
         return TrackingModel(self.tracking_error, self.tracking_delay_s)

@@ -30,6 +30,10 @@ from hplan.base.kernels import inline, kernel
 Interpolation: TypeAlias = Literal["cubic", "quintic", "linear"]
 
 
+#: Maximum speed and acceleration of a motion at rest [rad/s, rad/s^2].
+RESTING = 1e-6
+
+
 class Rows(NamedTuple):
     """Samples of a motion.
 
@@ -72,11 +76,8 @@ class Rows(NamedTuple):
         return Rows(*(values[: row + 1] for values in self))
 
     def is_at_rest(self, row: int) -> bool:
-        """True if the motion is at rest at a sample.
-
-        Speeds and accelerations are at most 1e-6 rad/s and 1e-6 rad/s^2.
-        """
-        return float(max(np.abs(self.velocity[row]).max(), np.abs(self.acceleration[row]).max())) <= 1e-6
+        """True if the motion is at rest at a sample."""
+        return float(max(np.abs(self.velocity[row]).max(), np.abs(self.acceleration[row]).max())) <= RESTING
 
     def positions(self, clock: FloatArray) -> FloatArray:
         """(k, dof) configurations at (k,) times; clamped to the motion's ends."""
@@ -112,11 +113,14 @@ def hermite_pieces(time: FloatArray, position: FloatArray, velocity: FloatArray)
     """
     if len(position) == 1:
         return np.repeat(position[:, None, :], 4, axis=1), np.ones(1)
-    duration = np.diff(time)
-    third = duration[:, None] / 3.0
+    duration = time[1:] - time[:-1]
+    bezier = np.empty((len(duration), 4, position.shape[1]))
+    bezier[:, 0], bezier[:, 3] = position[:-1], position[1:]
     with np.errstate(over="ignore", invalid="ignore"):
-        inner = position[:-1] + third * velocity[:-1], position[1:] - third * velocity[1:]
-        return np.stack([position[:-1], *inner, position[1:]], axis=1), duration
+        third = duration[:, None] / 3.0
+        bezier[:, 1] = position[:-1] + third * velocity[:-1]
+        bezier[:, 2] = position[1:] - third * velocity[1:]
+    return bezier, duration
 
 
 def segments_between(rows: Rows, interpolation: Interpolation) -> tuple[FloatArray, FloatArray]:

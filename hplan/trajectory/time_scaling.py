@@ -23,18 +23,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from hplan.base.arguments import is_number, number
-from hplan.base.arrays import FloatArray, numbers
+from hplan.base.arrays import FloatArray, numbers, readonly
 from hplan.collision.motion_coefficients import largest_sway
 from hplan.errors import InputError, OptionError
-from hplan.robot.model import Robot
-from hplan.trajectory.cubics import Rows, accelerations, evaluate, joined_rows, points_of, sample_spline
+from hplan.robot.model import Robot, made_once
+from hplan.trajectory.cubics import Rows
 from hplan.trajectory.speed_profile import MOST_ROWS
-from hplan.trajectory.time_steps import FADED, Clocks, Kept, run_clock
+from hplan.trajectory.time_steps import Course, TimingLimits, retime
 
 #: Speed factors over time: a number, (n, 2) rows of time and factor, or a function of the time.
 Profile: TypeAlias = "float | Sequence[tuple[float, float]] | FloatArray | Callable[[float], float]"
@@ -42,20 +42,12 @@ Profile: TypeAlias = "float | Sequence[tuple[float, float]] | FloatArray | Calla
 #: Maximum displacement of the arm off the path [m], and how often the sampling rate may be doubled for it.
 OFF_PATH, _DENSER = 1e-4, 8
 
-#: A joint that reaches its limit may exceed it by this distance [rad].
-LIMIT_TOLERANCE = 2e-7
-
-#: Tolerances, as fractions: samples may exceed limits of velocity, acceleration and torque by the first, or by up to
-#: the second if the motion itself exceeds them; jerk limits by the third. A larger excess of the motion itself is
-#: permitted, but not increased.
-SPARE, _MOST_SPARE, _SPARE_JERK = 7e-4, 9.5e-4, 0.03
-
 #: Maximum duration of a retimed motion [s].
 _LONGEST_S = 3600.0
 
 
 def rescale(
-    motion: Rows, robot: Robot, row: int, wanted: Callable[[FloatArray], FloatArray], *, final_s: float
+    motion: Rows, course: Course, robot: Robot, row: int, wanted: Callable[[FloatArray], FloatArray], *, final_s: float
 ) -> tuple[Rows, FloatArray, FloatArray, float] | None:
     """Retime a motion from a sample on.
 
@@ -63,8 +55,9 @@ def rescale(
 
     Args:
         motion: The motion.
+        course: The motion, prepared.
         robot: The arm, for its limits.
-        row: Index of the first sample of the new timing.
+        row: Index of the first sample of the new timing, not the last.
         wanted: (n,) times since that sample -> (n,) speed factors.
         final_s: Later than this after that sample, the motion ends as soon as it is at rest [s].
 
@@ -75,53 +68,50 @@ def rescale(
     Raises:
         OptionError: The motion does not end with these factors.
     """
-    rest = _Rest.build(motion.cut_before(row))
-    period, path = float(rest.rows.time[1]), rest.rows.position
+    limits, begin_s = timing_limits(robot), motion.time[row]
+    # A moving arm's first step takes a period, so it will be off the path by at least this times the period squared.
+    bent = (np.abs(motion.acceleration[row]) + course.largest[5, row]) / 6.0
+    least_off = 0.0 if motion.is_at_rest(row) else (1.0 - 1e-9) * float(largest_sway(robot, bent))
     for halving in range(_DENSER):
-        found = _with_period(rest, robot, period * 0.5**halving, wanted, final_s)
+        period = float(motion.time[row + 1] - begin_s) * 0.5**halving
+        if period**2 * least_off > OFF_PATH:
+            continue
+        found = _with_period(course, row, limits, period, wanted, final_s)
         if found is None:
             continue
-        q, off_m = found[0].position, float(largest_sway(robot, found[2]))
-        within = (q >= np.minimum(robot.lower, path.min(axis=0)) - LIMIT_TOLERANCE).all() and (
-            q <= np.maximum(robot.upper, path.max(axis=0)) + LIMIT_TOLERANCE
-        ).all()
-        if off_m <= OFF_PATH and within:
-            clock = np.concatenate([motion.time[:row], motion.time[row] + found[1]])
-            return joined_rows([motion.cut_after(row), found[0]]), clock, found[2], off_m
+        is_within, clock, states, off = found
+        off_m = float(largest_sway(robot, off))
+        if off_m <= OFF_PATH and is_within:
+            torque = robot.dynamics.torques(*states)
+            torque[0] = motion.torque[row]
+            time = np.arange(len(clock), dtype=np.float64) * period
+            # The sample where the motions part is that of the motion itself.
+            parts = (time[1:] + begin_s, *(values[1:] for values in (*states, torque)))
+            joined = (np.concatenate([old[: row + 1], new]) for old, new in zip(motion, parts, strict=True))
+            return Rows(*joined), np.concatenate([motion.time[:row], begin_s + clock]), off, off_m
     return None
 
 
-class _Rest(NamedTuple):
-    """A motion from the first sample of the new timing on.
-
-    Attributes:
-        rows: Its samples.
-        bezier: (pieces, 4, dof) its cubics.
-        duration: (pieces,) their durations [s].
-        bent: (pieces, 2, dof) their accelerations at both ends [rad/s^2].
-    """
-
-    rows: Rows
-    bezier: FloatArray
-    duration: FloatArray
-    bent: FloatArray
-
-    @classmethod
-    def build(cls, rows: Rows) -> _Rest:
-        """Build it from its samples."""
-        bezier, duration = rows.pieces
-        return cls(rows, bezier, duration, accelerations(bezier, duration))
-
-    def positions(self, clock: FloatArray) -> FloatArray:
-        """(k, dof) configurations at (k,) times; clamped to the motion's ends."""
-        return evaluate(self.bezier, self.rows.time, clock)
+@made_once
+def timing_limits(robot: Robot) -> TimingLimits:
+    """Limits of an arm for new timings."""
+    dynamics, endless = robot.dynamics, np.full(robot.dof, np.inf)
+    jerk = endless if robot.jerk_limit is None else robot.jerk_limit
+    joints = robot.lower, robot.upper, robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, jerk
+    bodies = np.zeros((0, 1, 1)) if dynamics.bodies is None else dynamics.bodies
+    return TimingLimits(readonly(np.stack(joints)), readonly(bodies), readonly(dynamics.model.gravity.linear))
 
 
 def _with_period(
-    rest: _Rest, robot: Robot, period: float, wanted: Callable[[FloatArray], FloatArray], final_s: float
-) -> tuple[Rows, FloatArray, FloatArray] | None:
-    """Retime a motion at a fixed sampling period; None if not found."""
-    limits, duration_s, rests = _keep_or_repair(rest, robot, period), rest.rows.duration, rest.rows.is_at_rest
+    course: Course,
+    row: int,
+    limits: TimingLimits,
+    period: float,
+    wanted: Callable[[FloatArray], FloatArray],
+    final_s: float,
+) -> tuple[bool, FloatArray, FloatArray, FloatArray] | None:
+    """Retime a motion at a fixed sampling period, as `retime`; None if not found."""
+    duration_s = float(course.time[-1] - course.time[row])
     rows = int((2.0 if final_s == 0.0 else 4.0) * duration_s / period) + 64
     while True:
         if rows > MOST_ROWS or rows * period > _LONGEST_S:
@@ -130,106 +120,11 @@ def _with_period(
                 f"within {_LONGEST_S:g} s and {MOST_ROWS:,} samples; after {0.5 * rows * period:.4g} s it has not",
             )  # fmt: skip
         factors = wanted(np.arange(rows, dtype=np.float64) * period)
-        begin = _Begin.build(rest, period, float(factors[0]) if rests(0) else 1.0)
-        clocks = Clocks(rest.bezier, np.array(rest.rows.time), begin.points, begin.clock, begin.fade, factors)
         final = rows if not math.isfinite(final_s) else math.ceil(final_s / period)
-        outcome, count, clock, points = run_clock(clocks, limits, period, final)
-        if outcome == 2:
-            return None
-        if outcome == 0:
-            break
+        found = retime(course, row, limits, factors, period, final)
+        if found[0] != 1:
+            return found[1:] if found[0] == 0 else None
         rows *= 2
-    if clock[count - 1] > duration_s and not rests(-1):
-        return None
-    return _with_rows(rest, robot, period, clock[:count], points[:count])
-
-
-class _Begin(NamedTuple):
-    """First control points of a new timing.
-
-    Attributes:
-        points: (3, dof) control points.
-        clock: (3,) their times on the motion's own clock [s].
-        fade: (3, dof) the offset from the path at the last of them, its derivative with respect to time [rad/s], and,
-            in the first column of the last row, the fading time [s].
-    """
-
-    points: FloatArray
-    clock: FloatArray
-    fade: FloatArray
-
-    @classmethod
-    def build(cls, rest: _Rest, period: float, factor: float) -> _Begin:
-        """Start from the state at a motion's first sample.
-
-        Args:
-            rest: The motion from that sample on.
-            period: Time between samples [s].
-            factor: Initial speed factor; 1 if the motion is not at rest there.
-        """
-        _, q, v, a = (values[0] for values in rest.rows[:4])
-        points = points_of(q, v, a, period)
-        clock = np.array([-1.0, 0.0, 1.0]) * (period * factor)
-        fade = np.zeros((3, len(q)))
-        if factor > 0.0 and (v.any() or a.any()):
-            fade[0] = points[2] - rest.positions(clock[2:])[0]
-            fade[1] = (fade[0] - (points[1] - q)) / period
-        else:
-            points[:] = q
-            clock[:] = np.minimum(clock, 0.0)
-        fade[2, 0] = min(FADED * period, rest.rows.duration - clock[2])
-        return cls(points, clock, fade)
-
-
-def _keep_or_repair(rest: _Rest, robot: Robot, period: float) -> Kept:
-    """Limits of a new timing: the robot's, or the motion's if higher."""
-    _, _, velocity, acceleration, torque = rest.rows
-    bent, duration = rest.bent, rest.duration
-    own = np.maximum(np.abs(bent).max(axis=(0, 1)), np.abs(acceleration).max(axis=0))
-    acceleration = _usable_limits(robot.acceleration_limit, own)
-    velocity = _usable_limits(robot.velocity_limit, np.abs(velocity).max(axis=0))
-    torque = _usable_limits(robot.torque_limit, np.abs(torque).max(axis=0))
-    jerk = np.full(robot.dof, np.inf)
-    if robot.jerk_limit is not None:
-        # A jump of the acceleration from one cubic to the next takes one period.
-        jumps = np.abs(bent[1:, 0] - bent[:-1, 1]).max(axis=0, initial=0.0)
-        own = (np.abs(bent[:, 1] - bent[:, 0]) / duration[:, None]).max(axis=0)
-        # Smaller jumps of the acceleration are ignored [rad/s^2].
-        smooth = 1e-4
-        jerk = np.maximum(robot.jerk_limit, own + np.where(jumps > smooth, jumps, 0.0) / period) * (1.0 + _SPARE_JERK)
-    dynamics = robot.dynamics
-    bodies = np.zeros((0, 1, 1)) if dynamics.bodies is None else dynamics.bodies
-    steps = np.stack([velocity * period, acceleration * period**2, jerk * period**3])
-    return Kept(steps, torque, bodies, np.array(dynamics.model.gravity.linear))
-
-
-def _usable_limits(limit: FloatArray, own: FloatArray) -> FloatArray:
-    """(dof,) usable limits: slightly above the motion's own use, within `_MOST_SPARE`.
-
-    A stop of a motion that is already a stop therefore satisfies its limits, too.
-    """
-    most = np.maximum(own, limit * (1.0 + _MOST_SPARE))
-    return np.maximum(limit * (1.0 + SPARE), np.minimum(own * (1.0 + SPARE), most))
-
-
-def _with_rows(
-    rest: _Rest, robot: Robot, period: float, clock: FloatArray, points: FloatArray
-) -> tuple[Rows, FloatArray, FloatArray]:
-    """Motion with given control points, original times, joint displacements off path."""
-    states = sample_spline(points, period)
-    ends = zip(states, rest.rows[1:4], (points[-1], 0.0, 0.0), strict=True)
-    for values, first, last in ends:
-        values[0], values[-1] = first[0], last
-    torque = robot.dynamics.torques(*states)
-    torque[0] = rest.rows.torque[0]
-    rows = Rows(np.arange(len(torque), dtype=np.float64) * period, *states, torque)
-    on_path = rest.positions(np.clip(clock, 0.0, None))
-    on_path += np.minimum(clock, 0.0)[:, None] * rest.rows.velocity[0]  # before the seam the path is extended backwards
-    # From the path itself: the column of accelerations need not agree with it.
-    largest = np.abs(rest.bent).max(axis=(0, 1))
-    step = float(np.diff(clock).max())
-    off = np.abs(points - on_path)[1:].max(axis=0) + step**2 / 6.0 * largest
-    return rows, np.clip(clock[1:-1], 0.0, rest.rows.duration), off
 
 
 def speed_factors(profile: Profile) -> tuple[Callable[[FloatArray], FloatArray], float, float]:

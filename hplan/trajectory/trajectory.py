@@ -6,15 +6,16 @@ import csv
 import io
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arguments import check_integer, instance, list_of, number, one_of, truth
-from hplan.base.arrays import FloatArray, Record, numbers
+from hplan.base.arrays import FloatArray, Record, frozen, numbers
 from hplan.base.csv_file import CsvFile
 from hplan.base.files import write_text
 from hplan.base.lazy_import import VIEWERS
@@ -29,6 +30,7 @@ from hplan.trajectory.cubics import (
     segments_between,
 )
 from hplan.trajectory.time_scaling import Profile, check_factors, rescale, speed_factors
+from hplan.trajectory.time_steps import Course
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -139,6 +141,18 @@ class Trajectory(Record):
                 "takes_over_s", self.takes_over_s, "a time since the motion began, or None", lambda time: time >= 0.0
             )
 
+    def copy_unchecked(self, rows: Rows, **changes: Any) -> Trajectory:
+        """A motion of the same joints with samples that hplan itself has computed.
+
+        Args:
+            rows: The samples, in contiguous arrays, which become read-only.
+            changes: Other fields.
+        """
+        found = object.__new__(Trajectory)
+        vars(found).update({field.name: getattr(self, field.name) for field in fields(Trajectory)})
+        vars(found).update(zip(Rows._fields, map(frozen, rows), strict=True), **changes)
+        return found
+
     def __repr__(self) -> str:
         return f"<Trajectory: {self.duration:.6g} s, {self.samples} samples, joints {', '.join(self.joint_names)}>"
 
@@ -152,6 +166,11 @@ class Trajectory(Record):
         """The samples without joint names and interpolation."""
         return Rows(self.time, self.position, self.velocity, self.acceleration, self.torque)
 
+    @cached_property
+    def course(self) -> Course:
+        """The motion, prepared for stops and other speeds."""
+        return Course.build(self.rows)
+
     @property
     def segments(self) -> tuple[FloatArray, FloatArray]:
         """Polynomials between the samples, as Bezier points and durations.
@@ -164,14 +183,12 @@ class Trajectory(Record):
     @property
     def end_velocities(self) -> FloatArray:
         """(2, dof) velocities of the curve at the first and last sample."""
-        bezier, duration = self.segments
+        ends = (Rows(*(values[part] for values in self.rows)) for part in (slice(2), slice(-2, None)))
+        (first, begin), (last, end) = (segments_between(rows, self.interpolation) for rows in ends)
         with np.errstate(over="ignore", invalid="ignore"):
-            steps = np.stack([bezier[0, 1] - bezier[0, 0], bezier[-1, -1] - bezier[-1, -2]])
-            velocities: FloatArray = (bezier.shape[1] - 1.0) * steps / duration[[0, -1], None]
+            steps = np.stack([first[0, 1] - first[0, 0], last[-1, -1] - last[-1, -2]])
+            velocities: FloatArray = (first.shape[1] - 1.0) * steps / np.array([begin, end])
         return velocities
-
-    def _replace_rows(self, rows: Rows, takes_over_s: float | None = None) -> Trajectory:
-        return Trajectory(self.joint_names, *rows, self.slides, self.interpolation, takes_over_s)
 
     @property
     def reversal(self) -> Trajectory:
@@ -180,7 +197,8 @@ class Trajectory(Record):
         Torques are unchanged: inverse dynamics depends on the square of velocity only.
         """
         time, position, acceleration = self.time[-1] - self.time[::-1], self.position[::-1], self.acceleration[::-1]
-        return self._replace_rows(Rows(time, position, -self.velocity[::-1], acceleration, self.torque[::-1]))
+        rows = Rows(time, position, -self.velocity[::-1], acceleration, self.torque[::-1])
+        return self.copy_unchecked(Rows(*map(np.ascontiguousarray, rows)), takes_over_s=None)
 
     @property
     def samples(self) -> int:
@@ -202,7 +220,7 @@ class Trajectory(Record):
         if row == 0:
             return self
         begins_alone = self.takes_over_s is None and self.rows.is_at_rest(row)
-        return self._replace_rows(self.rows.cut_before(row), None if begins_alone else 0.0)
+        return self.copy_unchecked(self.rows.cut_before(row), takes_over_s=None if begins_alone else 0.0)
 
     def cut_after(self, row: int) -> Trajectory:
         """The motion up to a sample; it need not end at rest.
@@ -218,9 +236,7 @@ class Trajectory(Record):
             >>> motion.cut_after(0).duration
             0.0
         """
-        return self._replace_rows(
-            self.rows.cut_after(check_integer("row", row, 0, self.samples - 1)), self.takes_over_s
-        )
+        return self.copy_unchecked(self.rows.cut_after(check_integer("row", row, 0, self.samples - 1)))
 
     def stop_at(self, t: float, robot: Robot) -> Trajectory:
         """The motion with the quickest stop on its path.
@@ -358,17 +374,16 @@ def stop_motion(trajectory: Trajectory, t: float, robot: Robot) -> Retimed:
     )  # fmt: skip
     row, rows = int(np.searchsorted(trajectory.time, t - SAME_TIME)), trajectory.rows
     takes_over_s = trajectory.takes_over_s if row == 0 else float(trajectory.time[row])
-    trajectory = replace(trajectory, takes_over_s=takes_over_s)
     if rows.is_at_rest(row):
-        return Retimed.cut(trajectory, row)
+        return Retimed.cut(trajectory.copy_unchecked(rows, takes_over_s=takes_over_s), row)
     found = None
     if row < trajectory.samples - 1:
-        found = rescale(rows, robot, row, np.zeros_like, final_s=0.0)
+        found = rescale(rows, trajectory.course, robot, row, np.zeros_like, final_s=0.0)
     rests = rows.is_at_rest(-1)
     if found is not None and (not rests or found[0].duration < trajectory.duration):
-        return _split_result(robot, found, row, takes_over_s)
+        return Retimed(_on_path(trajectory, robot, found[0], takes_over_s), row, *found[1:])
     if rests:
-        return Retimed.cut(trajectory, trajectory.samples - 1)
+        return Retimed.cut(trajectory.copy_unchecked(rows, takes_over_s=takes_over_s), trajectory.samples - 1)
     raise TimingError("no stop within the limits was found, and the motion does not end at rest", cause="no stop")
 
 
@@ -406,9 +421,11 @@ def scale_motion(trajectory: Trajectory, profile: Profile, robot: Robot) -> Reti
         check_factors(rows, robot, float(values.max(initial=0.0)))
         return values
 
-    found = rescale(rows, robot, row, read_profile, final_s=last_s - begin if last == 0.0 else np.inf)
+    final_s = last_s - begin if last == 0.0 else np.inf
+    found = rescale(rows, trajectory.course, robot, row, read_profile, final_s=final_s)
     if found is not None:
-        return _split_result(robot, found, row, begin if row > 0 else trajectory.takes_over_s)
+        takes_over_s = begin if row > 0 else trajectory.takes_over_s
+        return Retimed(_on_path(trajectory, robot, found[0], takes_over_s), row, *found[1:])
     if rows.is_at_rest(-1):
         raise TimingError("no motion at these speed factors keeps the limits", cause="speed factors")
     velocity, acceleration = trajectory.velocity[-1], trajectory.acceleration[-1]
@@ -423,11 +440,9 @@ def scale_motion(trajectory: Trajectory, profile: Profile, robot: Robot) -> Reti
     )
 
 
-def _split_result(
-    robot: Robot, found: tuple[Rows, FloatArray, FloatArray, float], row: int, takes_over_s: float | None
-) -> Retimed:
-    """Build the result of a motion retimed from a sample on."""
-    return Retimed(Trajectory(robot.joint_names, *found[0], robot.slides, takes_over_s=takes_over_s), row, *found[1:])
+def _on_path(trajectory: Trajectory, robot: Robot, rows: Rows, takes_over_s: float | None) -> Trajectory:
+    """The retimed motion of a robot."""
+    return trajectory.copy_unchecked(rows, slides=robot.slides, takes_over_s=takes_over_s)
 
 
 def _check_kinds(trajectory: Trajectory, robot: Robot) -> None:

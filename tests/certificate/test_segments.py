@@ -13,7 +13,7 @@ from scipy.interpolate import BPoly
 
 from hplan.certificate.clearance_proof import point_at
 from hplan.certificate.goal_contact import largest_rates
-from hplan.certificate.limit_use import _peaks
+from hplan.certificate.limit_use import _peaks, limit_use
 from hplan.certificate.motion_bound import fastest, motion_of_movers
 from hplan.certificate.torque_bound import GAP, largest_torques
 from hplan.collision.coal_scene import CoalScene
@@ -82,6 +82,32 @@ def test_largest_values_are_those_of_dense_samples(curve: Interpolation) -> None
             rates, pushes = largest_rates(bezier)
             assert ((rates / duration[:, None]).max(axis=0) >= seen[1] * (1.0 - 1e-6)).all()
             assert ((pushes / duration[:, None] ** 2).max(axis=0) >= seen[2] * (1.0 - 1e-6)).all()
+
+
+@pytest.mark.parametrize(("curve", "larger"), [("cubic", "acceleration"), ("cubic", "torque"), ("quintic", "torque")])
+def test_uses_are_those_of_dense_samples_and_of_the_columns(curve: Interpolation, larger: str) -> None:
+    robot, rng = load_robot(), np.random.default_rng(6)
+    middle, half = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower)
+    limit = getattr(robot, f"{larger}_limit")
+    for _ in range(5):
+        motion, true = rows_of(robot, rng, 0.05, curve)
+        clock = dense(motion, 2001)
+        states = true(clock), true(clock, 1), true(clock, 2)
+        # A column that does not shape the curve may hold larger values.
+        motion = replace(motion, **{larger: rng.uniform(0.0, 40.0, motion.position.shape) * limit})
+        found = limit_use(robot, motion, *motion.segments)
+        seen = {
+            "position": np.abs(states[0] - middle) / half,
+            "velocity": np.abs(states[1]) / robot.velocity_limit,
+            "acceleration": np.abs(states[2]) / robot.acceleration_limit,
+            "torque": np.abs(robot.dynamics.torques(*states)) / robot.torque_limit,
+        }
+        for name, values in seen.items():
+            expected = float(values.max())
+            if name != "position":
+                column = np.abs(getattr(motion, name)) / getattr(robot, f"{name}_limit")
+                expected = max(expected, float(column.max()))
+            assert expected * (1.0 - 1e-6) <= getattr(found, name) <= expected * (1.0 + 1e-4) + 2.0 * GAP
 
 
 @pytest.mark.parametrize("curve", CURVES)

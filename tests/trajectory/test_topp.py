@@ -216,6 +216,40 @@ def assert_on_path(robot: Robot, retimed: Retimed, motion: Trajectory) -> None:
     assert off.max() <= OFF_PATH + 1e-5  # the checked places are a little apart
 
 
+def test_a_course_holds_what_is_left_of_a_motion(robot):
+    motion = motions()[0]
+    course, (bezier, duration) = motion.course, motion.segments
+    bent = 6.0 * np.diff(bezier, n=2, axis=1) / duration[:, None, None] ** 2
+    jumps, jerks = np.abs(bent[1:, 0] - bent[:-1, 1]), np.abs(bent[:, 1] - bent[:, 0]) / duration[:, None]
+    for row in (0, 1, 57, motion.samples - 2):
+        highest = np.abs(bent[row:]).max(axis=(0, 1))
+        left = motion.cut_before(row)
+        expected = [
+            np.abs(left.velocity).max(axis=0),
+            np.maximum(highest, np.abs(left.acceleration).max(axis=0)),
+            np.abs(left.torque).max(axis=0),
+            jumps[row:].max(axis=0, initial=0.0),
+            jerks[row:].max(axis=0),
+            highest,
+            left.position.max(axis=0),
+        ]
+        np.testing.assert_array_equal(course.largest[:, row], expected)
+        np.testing.assert_array_equal(course.least[row], left.position.min(axis=0))
+
+
+def test_a_stop_keeps_torque_limits_that_bind(robot):
+    """Limits that a motion itself just keeps; without them some stops would need more."""
+    free, needed = replace(robot, torque_limit=100.0 * robot.torque_limit), list[float]()
+    for motion in motions():
+        tight = replace(robot, torque_limit=np.abs(motion.torque).max(axis=0) + 1e-3)
+        for t in motion.time[5:-5:17].tolist():
+            found = stop_motion(motion, t, tight).trajectory
+            assert (np.abs(found.torque) <= tight.torque_limit * TOLERANCE).all()
+            assert_smooth(found)
+            needed.append(float((np.abs(stop_motion(motion, t, free).trajectory.torque) / tight.torque_limit).max()))
+    assert max(needed) > 1.1
+
+
 @settings(max_examples=30)
 @given(motion=with_motion(), part=st.floats(0.0, 1.0))
 def test_a_stop_is_on_the_path_within_limits_and_ends_at_rest(robot, motion, part):

@@ -441,6 +441,26 @@ def body_slopes(
     Clearances are clamped to `enough` [m]. A gradient is the velocity of the nearest points along the line between
     them; zeros if the clearance is clamped.
     """
+    guessed_slopes(q, field, joints, enough, np.full(len(clear), enough), clear, gradient)
+
+
+@kernel
+def guessed_slopes(
+    q: FloatArray,
+    field: FieldArrays,
+    joints: IntArray,
+    enough: float,
+    guesses: FloatArray,
+    clear: FloatArray,
+    gradient: FloatArray,
+) -> None:
+    """Write what `body_slopes` writes, in less time if the clearances are guessed well.
+
+    A search visits the obstacles that may be nearer than the nearest found so far, at first than the guess.
+
+    Args:
+        guesses: (bodies,) clearances, preferably slightly too large ones [m].
+    """
     arm = _placed_arm(q, field)
     bodies, pairs, placed, solids, work = arm.bodies, arm.pairs, arm.placed, arm.solids, arm.work
     rates = np.empty(len(q))
@@ -453,7 +473,10 @@ def body_slopes(
         k = _near_below(bodies, pairs, placed, solids, k, enough)
         if k < 0:
             break
-        clear[k] = _mover_clearance(arm, k, enough)
+        guess = min(guesses[k], enough)
+        clear[k] = _mover_clearance(arm, k, guess)
+        if not clear[k] < guess and guess < enough:
+            clear[k] = _mover_clearance(arm, k, enough)
         if not clear[k] < enough:
             continue
         outer, inner = k, -1

@@ -173,7 +173,7 @@ class ClearanceField(Record):
     def _of_rows(self, kept: BoolArray) -> ClearanceField:
         """Return the field of some rows; dropping a node drops its subtree."""
         rows = np.flatnonzero(kept)
-        place = np.searchsorted(rows, np.arange(len(self.solids) + 1))  # New indices of the rows that remain.
+        place = np.concatenate([[0], np.cumsum(kept)])  # New indices of the rows that remain.
         solids = self.solids[rows]
         solids["next"] = place[solids["next"]]
         return replace(self, solids=frozen(solids), owner=frozen(self.owner[rows]))

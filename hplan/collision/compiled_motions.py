@@ -202,6 +202,8 @@ def mark_near(path: FloatArray, arrays: FieldArrays, distance: float, near: Bool
     """
     bodies, joints, solids = arrays.bodies, arrays.joints, arrays.solids
     placed, frames = np.empty(len(bodies), PLACED), np.empty((path.shape[1] + 1, 12))
+    # Nodes with all their rows marked.
+    whole = np.zeros(len(solids), dtype=np.bool_)
     for i in range(path.shape[0]):
         if is_up(arrays.until):
             break
@@ -213,10 +215,18 @@ def mark_near(path: FloatArray, arrays: FieldArrays, distance: float, near: Bool
             following = _FIRST_MOTION_ROW
             while following < len(solids):
                 s = following
+                solid = solids[s]
                 following = s + 1
-                if not near[s]:
-                    solid = solids[s]
-                    beyond = distance + solid.bound + bodies[b].axis_radius
-                    near[s] = point_segment(vector_of(solid.centre), start, along) <= beyond
-                    if not near[s] and solid.kind == row.NODE:
+                is_node = solid.kind == row.NODE
+                if whole[s]:
+                    following = solid.next
+                elif is_node or not near[s]:
+                    away = point_segment(vector_of(solid.centre), start, along) - distance - bodies[b].axis_radius
+                    near[s] |= away <= solid.bound
+                    # What is in a ball that is near as a whole is near.
+                    if is_node and away <= -solid.bound:
+                        whole[s] = True
+                        for below in range(s, solid.next):
+                            near[below] = True
+                    if is_node and (whole[s] or away > solid.bound):
                         following = solid.next

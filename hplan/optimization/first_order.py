@@ -22,7 +22,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, inline, kernel
-from hplan.collision.compiled_clearance import body_slopes
+from hplan.collision.compiled_clearance import guessed_slopes
 from hplan.collision.compiled_obstacles import FieldArrays
 from hplan.optimization.interior_point import ProgramRows
 
@@ -31,6 +31,9 @@ PLACES = any_int(3)
 
 #: Bodies with more clearance than `NEAR` are left out of a program; its clearance rows are scaled by 1 / `SCALE` [m].
 NEAR, SCALE = 0.06, 0.15
+
+#: From one sample point to the next, the clearance of a body seldom grows by more [m].
+FARTHER_M = 0.01
 
 #: Number of kinematic rows of a joint that depend on the end states: one, two and three at each end.
 DRIFTING = any_int(12)
@@ -307,7 +310,7 @@ def _evaluate_places(
     count, bodies = (n - 3) * PLACES, len(field.bodies) + len(field.pairs)
     q, weight, clear = np.zeros((count, dof)), np.empty((count, 4)), np.full((count, bodies), np.inf)
     speed, velocity = np.zeros((count, 4)), np.zeros(dof)
-    gradient = np.empty((count, bodies, len(movable)))
+    gradient, guesses = np.empty((count, bodies, len(movable))), np.full(bodies, FARTHER_M)
     for place in range(count):
         piece = place // PLACES
         basis(knots, piece, (place % PLACES) / PLACES, weight[place])
@@ -316,7 +319,9 @@ def _evaluate_places(
                 q[place, j] += weight[place, c] * control[piece + c, j]
         if is_up(field.until):
             break
-        body_slopes(q[place], field, movable, NEAR, clear[place], gradient[place])
+        guessed_slopes(q[place], field, movable, NEAR, guesses, clear[place], gradient[place])
+        for link in range(bodies):
+            guesses[link] = max(clear[place, link], 0.0) + FARTHER_M
         if limits.sway.shape[0] > 0:
             _velocity_weights(knots, piece, (place % PLACES) / PLACES, speed[place])
             for j in range(dof):

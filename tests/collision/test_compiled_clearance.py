@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from hplan.base.arrays import FloatArray
 from hplan.collision.coal_shapes import beyond_geometry, solid_shape
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
-from hplan.collision.compiled_clearance import body_slopes
+from hplan.collision.compiled_clearance import body_slopes, guessed_slopes
 from hplan.collision.compiled_field import ClearanceField
-from hplan.collision.compiled_motions import piece_is_clear, segment_is_clear
+from hplan.collision.compiled_motions import mark_near, piece_is_clear, segment_is_clear
+from hplan.collision.compiled_obstacles import NODE
 from hplan.collision.compiled_placements import PLACED, place_bodies
 from hplan.collision.distance_checker import FAR
 from hplan.collision.motion_coefficients import is_moved
@@ -170,6 +171,44 @@ def test_distant_obstacles_are_left_out(arm: Robot, solids: list[Solid]) -> None
     clear, all_clear = near.clearance_along(path), whole.clearance_along(path)
     assert clear[all_clear < 0.1] == pytest.approx(all_clear[all_clear < 0.1])
     assert (clear >= all_clear - 1e-12).all()
+
+
+@given(SEEDS)
+@settings(max_examples=25)
+def test_rows_near_a_motion_are_those_of_a_plain_search(arm: Robot, solids: list[Solid], seed: int) -> None:
+    rng, distance = np.random.default_rng(seed), 0.15
+    arrays = ClearanceField.build(arm, solids).arrays
+    path = np.cumsum(np.vstack([rng.uniform(arm.lower, arm.upper), rng.normal(0.0, 0.1, (5, arm.dof))]), axis=0)
+    near, rows, expected = np.zeros(len(arrays.solids), dtype=np.bool_), arrays.solids, set[int]()
+    mark_near(path, arrays, distance, near)
+    for q in path:
+        placed, frames = np.empty(len(arrays.bodies), PLACED), np.empty((arm.dof + 1, 12))
+        place_bodies(q, arrays.bodies, arrays.joints, frames, placed)
+        for body, here in zip(arrays.bodies, placed, strict=True):
+            along, row = here["along"], 0
+            while body["is_checked"] and row < len(rows):
+                off = rows["centre"][row] - here["start"]
+                part = np.clip(off @ along / max(float(along @ along), 1e-12), 0.0, 1.0)
+                if np.linalg.norm(off - part * along) <= distance + rows["bound"][row] + body["axis_radius"]:
+                    expected.add(row)
+                elif rows["kind"][row] == NODE:
+                    row = rows["next"][row] - 1
+                row += 1
+    assert set(np.flatnonzero(near).tolist()) == expected
+
+
+@given(SEEDS)
+@settings(max_examples=25)
+def test_slopes_do_not_depend_on_guesses(arm: Robot, solids: list[Solid], seed: int) -> None:
+    rng, field = np.random.default_rng(seed), ClearanceField.build(arm, solids)
+    q, joints = rng.uniform(arm.lower, arm.upper), np.arange(arm.dof)
+    clear, gradient = np.empty((2, field.count)), np.empty((2, field.count, arm.dof))
+    body_slopes(q, field.arrays, joints, 0.3, clear[0], gradient[0])
+    guesses = np.maximum(clear[0], 0.0) + rng.choice([-0.01, 1e-9, 0.01, 0.5], field.count)
+    guessed_slopes(q, field.arrays, joints, 0.3, guesses, clear[1], gradient[1])
+    assert (clear[0] < 0.3).any()
+    np.testing.assert_array_equal(clear[1], clear[0])
+    np.testing.assert_array_equal(gradient[1], gradient[0])
 
 
 @given(SEEDS)

@@ -38,6 +38,7 @@ STUDIES = {
     "soak": "validation.soak:SOAK",
     "trees": "trees:TREES",
     "tours": "trees:TOURS",
+    "rows": "trees:ROWS",
     "fastest": "fastest:FASTEST",
     "deadlines": "fruit:DEADLINES",
     "camera": "camera:CAMERA",

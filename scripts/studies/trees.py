@@ -1,4 +1,4 @@
-"""Motions among trees: home to fruit, fruit to fruit, picking tours.
+"""Motions among trees: home to fruit, fruit to fruit, picking tours, rows of stops.
 
 Measured trees, one at a time, are in front of the base at several distances. Fruit hangs at the tips of their branches,
 at the tips within the arm's reach first. The shipped orchards are included unchanged. A fruit is a goal if it has a
@@ -8,6 +8,7 @@ with the shortest expected motion from home. All fruits are obstacles.
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -23,16 +24,19 @@ from studies.peers import peer_row
 from hplan.base.arrays import FloatArray
 from hplan.base.data_files import scenes_dir
 from hplan.collision.compiled_field import ClearanceField
-from hplan.errors import HplanError, InputError, OptionError, UnreachableError
+from hplan.errors import HplanError, InputError, OptionError, TourError, UnreachableError
 from hplan.planar.inverse_kinematics import reach
+from hplan.planning.failures import REASONS, reason_of, tally_reasons
 from hplan.planning.grasps import straight_approaches
 from hplan.planning.options import PlanOptions
 from hplan.robot.limits import least_duration
 from hplan.robot.model import Robot
 from hplan.scene.file import load_scene
 from hplan.scene.fruit import Fruit
-from hplan.scene.model import Goal, Scene, Start
-from hplan.scene.orchard import SHIPPED, TUCKED_DEG, fruit_at_tips, import_capsules
+from hplan.scene.model import Goal, Scene, Start, with_limbs
+from hplan.scene.orchard import SHIPPED, TUCKED_DEG, MeasuredOptions, fruit_at_tips, import_capsules
+from hplan.scene.orchard import measured_orchard as measured_orchard_scene
+from hplan.tour.row import RowOptions, plan_row
 from hplan.tour.tour import plan_tour
 
 #: Distances of a measured tree's trunk in front of the base [m].
@@ -220,4 +224,71 @@ TOURS = Study(
     _tour,
     ("solved", "fruits", "picked", "duration_s", "a_fruit_s", "ms"),
     problems=_tours,
+)
+
+
+#: Distance of the rows' trees from the vehicle, and spacing of its possible stops [m].
+ROW_DISTANCE, ROW_STEP = 1.2, 0.4
+
+#: Depth to which thin wood and fruit may be pushed in rows without forces, and radius below which wood is thin [m].
+ROW_DEPTH, THIN = 0.02, 0.008
+
+#: Wood of the rows: bounded by depth, by force and stress, and thin wood left out, which no real arm can do.
+WOODS = ("depths", "forces", "no thin wood")
+
+
+@dataclass(frozen=True)
+class TreeRow:
+    """A measured tree that a vehicle passes: the tree's name, the kind of its wood, and the scene."""
+
+    name: str
+    wood: str
+    scene: Scene
+
+
+def _tree_rows(config: StudyConfig) -> Iterable[TreeRow]:
+    files = sorted(config.trees.glob("*.csv") if config.trees is not None else ())[: config.count]
+    return [_tree_row(file, wood) for file in files for wood in config.chosen(WOODS)]
+
+
+def _tree_row(file: Path, wood: str) -> TreeRow:
+    depth = 0.0 if wood == "forces" else ROW_DEPTH
+    given = MeasuredOptions(distance=ROW_DISTANCE, wood_yields=depth, yields_below=THIN, fruit_yields=depth)
+    scene = measured_orchard_scene([file], given)
+    if wood == "forces":
+        scene = with_limbs(scene)
+    elif wood == "no thin wood":
+        scene = scene.copy_unchecked({"obstacles": tuple(one for one in scene.obstacles if not one.yields)})
+    return TreeRow(file.stem, wood, scene)
+
+
+def _plan_row(config: StudyConfig, problem: TreeRow) -> Row:
+    robot, scene, begin = config.arm("orchard_harvester"), problem.scene, time.process_time()
+    given = RowOptions(distance=ROW_DISTANCE, step=ROW_STEP)
+    found = or_error(lambda: plan_row(robot, scene, PlanOptions(effort=config.effort), row=given))
+    row: Row = {"name": f"{problem.name}, {problem.wood}", "wood": problem.wood, "fruits": len(scene.fruits)}
+    row |= {"cpu_s": time.process_time() - begin}
+    if isinstance(found, TourError):
+        reasons, _ = tally_reasons((reason_of(error), None) for _, error in found.reasons)
+        return row | {"picked": 0, **reasons}
+    if isinstance(found, HplanError):
+        return row | {"picked": 0, "message": found.message}
+    numbers = {key: found.report.get(key) for key in ("motion_s", "motion_s_per_fruit", "max_force_n")}
+    reasons = {key: count for key, count in found.report["not_picked"].items() if key in REASONS}
+    return row | {"picked": len(found.picked), "stops": len(found.stops), **reasons, **numbers}
+
+
+ROWS = Study(
+    "rows",
+    "fruit picked from stops along a measured tree each (--trees), by how its wood is bounded",
+    _plan_row,
+    ("fruits", "picked", *REASONS, "motion_s_per_fruit", "cpu_s"),
+    problems=_tree_rows,
+    by="wood",
+    totals=("fruits", "picked", *REASONS, "motion_s", "cpu_s"),
+    count=(None, 1),
+    needs=("trees",),
+    peers=(),
+    warm=0,
+    choices=(WOODS,),
 )

@@ -21,6 +21,7 @@ from studies.outside import TimedMotion
 from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
 
 from hplan.errors import InputError
+from hplan.planning.failures import REASONS
 from hplan.scene import Capsule, Fruit, Goal, Start
 from hplan.scene.model import Scene
 
@@ -127,6 +128,18 @@ def test_motions_among_trees(tmp_path: Path, trees: str, monkeypatch: pytest.Mon
     assert together["contacts"] == together["with_wood"] == 0
     (tour,) = rows_of("tours", tmp_path, "--trees", trees)
     assert (tour["fruits"], tour["solved"]) == (6, True)
+
+
+def test_rows_of_stops(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(among_trees, "ROW_STEP", 4.0)
+    rows = ["kind,x1,y1,z1,x2,y2,z2,radius", "trunk,0,0,0,0,0,2,0.03", "branch,0,0,1.2,-0.5,0,1.2,0.004"]
+    rows += [f"fruit,{x},0.0,{z},{x},0.0,{z},0.03" for x, z in ((-0.45, 1.165), (-0.2, 1.3))]
+    (tmp_path / "t1.csv").write_text("\n".join(rows) + "\n")
+    found = rows_of("rows", tmp_path / "out", "--trees", str(tmp_path), "--effort", "quick")
+    assert [row["wood"] for row in found] == list(among_trees.WOODS)
+    for row in found:
+        assert row["fruits"] == 2 == row["picked"] + sum(row[key] for key in REASONS)
+    assert found[-1]["picked"] > 0
 
 
 def test_any_arm(tmp_path: Path, six: str) -> None:

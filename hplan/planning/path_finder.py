@@ -32,6 +32,11 @@ Origin: TypeAlias = Literal["none", "direct", "trees", "search", "mended", "kept
 #: Maximum number of paths of one homotopy class; more than one, since smoothing may fail.
 OF_A_CLASS = 3
 
+#: A path is promising if the time along it is at most this multiple of the time along an optimized path: in the same
+#: homotopy class, and in another. On 70 odd MotionBenchMaker problems of Fetch this saves a tenth of the CPU time, and
+#: motions last 1.004 times as long.
+SAME_CLASS, OTHER_CLASS = 0.95, 1.2
+
 #: Minimum number of distance queries of a second pair of long trees.
 _SHORT = 8_000
 
@@ -171,9 +176,10 @@ class Trees(PathFinder):
             yield (first[0]._replace(goal=number),)
         if self.durations[number] <= problem.effort.close * one.least_duration:
             return
-        found = tree_paths(one, problem.effort.pairs, known=first, grown=1, pairs=self.pairs)
-        if math.isfinite(self.durations[number]):  # the motion near the first
-            found = [path for path in found if path is not first[0]]
+        is_found = math.isfinite(self.durations[number])  # the motion near the first
+        found = tree_paths(
+            one, problem.effort.pairs, known=first, grown=1, pairs=self.pairs, optimized=first if is_found else ()
+        )
         group = (*self.other_paths(one, number), *(path._replace(goal=number) for path in found))
         if group:
             yield group
@@ -202,7 +208,11 @@ class LongTrees(PathFinder):
             path, evaluations = tree_to_any(problem, min(after, before + most), seed, self.pairs)
             if path is not None:
                 met.add(seed)
-                found.setdefault(path.goal, []).append(path)
+                same_goal = found.setdefault(path.goal, [])
+                same_goal.append(path)
+                is_known = math.isfinite(self.durations[path.goal]) and len(same_goal) == 2
+                if is_known and not promising_paths(problem.with_goals(path.goal), [path], same_goal[0]):
+                    return
                 if problem.effort.long_stops_early:
                     yield (path,)
                     if self.error is None and math.isfinite(self.best_s):
@@ -261,6 +271,7 @@ def tree_paths(
     known: Sequence[Path] = (),
     grown: int = 0,
     pairs: Pairs | None = None,
+    optimized: Sequence[Path] = (),
 ) -> list[Path]:
     """Paths of pairs of trees to the problem's first goal.
 
@@ -276,6 +287,8 @@ def tree_paths(
         known: Paths that are known already.
         grown: Number of pairs that have grown already and found the known paths.
         pairs: Trees that can grow on, as in `tree_path`.
+        optimized: Known paths near which a motion is known; only others are returned, and only promising ones
+            (`promising_paths`).
 
     Returns:
         The paths, known ones included, fastest first; at most `OF_A_CLASS` of each homotopy class
@@ -287,6 +300,10 @@ def tree_paths(
             waypoints, _ = tree_path(problem, 0.1 * problem.margin, each, seed, pairs=pairs)
             if waypoints is not None:
                 found.append(Path(waypoints, "trees"))
+        if optimized:
+            found = promising_paths(
+                problem, [path for path in found if all(path is not known for known in optimized)], optimized[0]
+            )
         if len(found) < 2:
             return found
         velocity, shorter = problem.robot.velocity_limit, [shorten_path(problem, path) for path in found]
@@ -296,6 +313,23 @@ def tree_paths(
             classes = class_numbers(points, problem.field)
             order = [k for n, k in enumerate(order) if np.count_nonzero(classes[:n] == classes[n]) < OF_A_CLASS]
         return [found[number] for number in order]
+
+
+def promising_paths(problem: Problem, paths: Sequence[Path], optimized: Path) -> list[Path]:
+    """The paths near which a motion may be faster than that near an optimized one.
+
+    They are compared by the times along them after shortcuts. A path of the same homotopy class has to be faster than
+    the optimized one, because both lead to about the same motion; one of another class may be a little slower. All of
+    them are promising if the optimizer takes several paths of a class.
+    """
+    if problem.effort.starts.others or not paths:
+        return list(paths)
+    velocity, all_paths = problem.robot.velocity_limit, [optimized, *paths]
+    shorter = [shorten_path(problem, path) for path in all_paths]
+    times = [path_time(points, velocity) for points in shorter]
+    classes = class_numbers(np.stack([_sample_evenly(points, velocity) for points in shorter]), problem.field)
+    longest = np.where(classes == 0, SAME_CLASS, OTHER_CLASS) * times[0]
+    return [all_paths[k] for k in range(1, len(all_paths)) if times[k] <= longest[k]]
 
 
 def shorten_path(problem: Problem, path: Path) -> FloatArray:

@@ -16,7 +16,15 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.collision.compiled_clearance import body_slopes
 from hplan.optimization.shortcut import shorten
 from hplan.optimization.smooth_path import START_SHORTCUTS
-from hplan.planning.path_finder import LongTrees, Path, long_trees, path_time, straight_path, tree_paths
+from hplan.planning.path_finder import (
+    LongTrees,
+    Path,
+    long_trees,
+    path_time,
+    promising_paths,
+    straight_path,
+    tree_paths,
+)
 from hplan.planning.problem import Problem
 from hplan.planning.rrt_connect import (
     EDGE_M,
@@ -188,6 +196,35 @@ def test_of_several_each_pair_is_one_that_grows_alone(robot: Robot, blocked: tup
     shorter = (shorten(path.waypoints, world.field, margin=MARGIN, rounds=START_SHORTCUTS) for path in paths)
     assert [path_time(points, velocity) for points in shorter] == pytest.approx(sorted(times), abs=1e-9)
     assert all(any(np.array_equal(path.waypoints, other) for other in alone) for path in paths)
+
+
+def with_others(problem: Problem, others: int) -> Problem:
+    """The problem with an optimizer that takes at least so many paths."""
+    return replace(problem, effort=replace(problem.effort, starts=replace(problem.effort.starts, others=others)))
+
+
+def test_second_path_has_to_promise_a_faster_motion(
+    blocked: tuple[Problem, World], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the same class it is faster than the optimized path, in another at most a little slower."""
+    problem, finder = blocked[0], hplan.planning.path_finder
+    optimized, *paths = (straight_path(problem) for _ in range(5))
+    classes, times = np.array([0, 0, 0, 3, 3]), iter([1.0, 0.9, 1.0, 1.1, 1.3])
+    monkeypatch.setattr(finder, "class_numbers", lambda *_: classes)
+    monkeypatch.setattr(finder, "path_time", lambda *_: next(times))
+    assert len(promising_paths(with_others(problem, 4), paths, optimized)) == 4
+    found = promising_paths(with_others(problem, 0), paths, optimized)
+    assert [id(path) for path in found] == [id(paths[0]), id(paths[2])]
+
+
+def test_paths_near_optimized_ones_are_left_out(blocked: tuple[Problem, World]) -> None:
+    """The optimized path itself, and a path in its class that takes as long."""
+    problem = with_others(blocked[0], 0)
+    first = tree_paths(problem, 1, queries=50_000)
+    assert tree_paths(problem, 1, queries=50_000, known=first, grown=1, optimized=first) == []
+    again = [first[0], first[0]._replace(waypoints=np.array(first[0].waypoints))]
+    assert tree_paths(problem, 1, queries=50_000, known=again, grown=1, optimized=first) == []
+    assert len(tree_paths(problem, 1, queries=50_000, known=again, grown=1)) == 2
 
 
 @pytest.mark.parametrize(("times_bound", "seconds"), [(None, 2), (1.0, 0), (2.0, 1)])

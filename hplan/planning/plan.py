@@ -22,6 +22,7 @@ from hplan.planning.less_force import with_less_force
 from hplan.planning.motion import Motion, Plan, Solver, best_of, motion_limits, seconds
 from hplan.planning.options import PlanOptions
 from hplan.planning.plans import plans_from_rest, with_reuse
+from hplan.planning.pose_goal import FEW_STARTS, STARTS
 from hplan.planning.problem import Problem
 from hplan.planning.report import deadline_report
 from hplan.planning.result import PlanResult, bounded_phases
@@ -80,10 +81,31 @@ def plan(
         >>> result.certificate.verified
         True
     """
+    return _plan(robot, scene, options, STARTS, progress, cancel)
+
+
+def plan_if_free(robot: Robot, scene: Scene, options: PlanOptions) -> PlanResult:
+    """Plan as `plan`, but refuse a pose early if it is blocked: the caller has other means.
+
+    A longer search may find a configuration that is free, but is reached by no motion.
+    """
+    return _plan(robot, scene, options, FEW_STARTS)
+
+
+def _plan(
+    robot: Robot,
+    scene: Scene,
+    options: PlanOptions | None,
+    pose_starts: tuple[int, ...],
+    progress: Progress = no_progress,
+    cancel: Cancel | None = None,
+) -> PlanResult:
+    """Validate and solve a scene."""
     check_task(robot, scene, options, progress, takes_risk=True)
     options = PlanOptions() if options is None else options
     with time_limit(options.deadline_s, cancel):
-        return within_risk(partial(solve_scene, progress=progress))(Problem.from_scene(robot, scene, options))
+        problem = replace(Problem.from_scene(robot, scene, options), pose_starts=pose_starts)
+        return within_risk(partial(solve_scene, progress=progress))(problem)
 
 
 def check_task(

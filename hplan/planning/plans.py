@@ -120,7 +120,7 @@ def _goal(problem: Problem) -> Problem | Target:
         return problem.from_configurations(start, problem.robot.turned_near(joints, start))
     if goal.pose is not None and not problem.options.standoff:
         with stage("grasps"):
-            ends = configurations_at(world, goal, start, scene.locked_joints)
+            ends = configurations_at(world, goal, start, scene.locked_joints, problem.pose_starts)
             return merge_problems(
                 [problem.from_configurations(start, end) for end in ends[: problem.effort.pose_goals]]
             )

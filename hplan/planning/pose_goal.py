@@ -15,8 +15,14 @@ from hplan.kinematics.inverse_kinematics import inverse_kinematics
 from hplan.planning.world import World
 from hplan.scene.model import Goal
 
+#: Numbers of starts of the inverse kinematics, tried in order until a configuration is collision-free; and the same for
+#: callers that have other means.
+STARTS, FEW_STARTS = (64, 512), (64,)
 
-def configurations_at(world: World, goal: Goal, start: FloatArray, locked: Sequence[str] = ()) -> FloatArray:
+
+def configurations_at(
+    world: World, goal: Goal, start: FloatArray, locked: Sequence[str] = (), starts: Sequence[int] = FEW_STARTS
+) -> FloatArray:
     """Return collision-free configurations with a frame at the goal pose, within its tolerance, nearest first.
 
     Args:
@@ -24,6 +30,7 @@ def configurations_at(world: World, goal: Goal, start: FloatArray, locked: Seque
         goal: The goal, with a pose.
         start: (dof,) start configuration.
         locked: Names of joints that keep their start values.
+        starts: Numbers of starts of the inverse kinematics, tried in order until a configuration is collision-free.
 
     Returns:
         (k, dof) configurations, k >= 1, by distance from the start; more may exist
@@ -36,24 +43,28 @@ def configurations_at(world: World, goal: Goal, start: FloatArray, locked: Seque
         BlockedError: Obstacles, or parts of the arm, block every configuration found; names them.
     """
     robot, pose = world.robot, goal_pose(goal)
-    found = inverse_kinematics(
-        robot, pose, start=start, frame=goal.frame, locked=locked, rotation_tolerance_rad=goal.rotation_tolerance
-    )
-    tilted: TiltedError | None = None
-    clear: list[FloatArray] = []
-    blocked: Counter[tuple[str, str]] = Counter()
-    largest = -np.inf
-    for q in found:
-        check_deadline()
-        try:
-            world.check_clear(q, "goal")
-        except ConfigurationInCollisionError as error:
-            blocked[error.link, error.obstacle] += 1
-            largest = max(largest, -error.depth_m)
-        except TiltedError as error:
-            tilted = error.with_traceback(None)
-        else:
-            clear.append(q)
+    for seeds in starts:
+        found = inverse_kinematics(
+            robot, pose, start=start, frame=goal.frame, seeds=seeds, locked=locked,
+            rotation_tolerance_rad=goal.rotation_tolerance,
+        )  # fmt: skip
+        tilted: TiltedError | None = None
+        clear: list[FloatArray] = []
+        blocked: Counter[tuple[str, str]] = Counter()
+        largest = -np.inf
+        for q in found:
+            check_deadline()
+            try:
+                world.check_clear(q, "goal")
+            except ConfigurationInCollisionError as error:
+                blocked[error.link, error.obstacle] += 1
+                largest = max(largest, -error.depth_m)
+            except TiltedError as error:
+                tilted = error.with_traceback(None)
+            else:
+                clear.append(q)
+        if clear:
+            break
     if not clear and tilted is not None and not blocked:
         raise tilted
     if not clear:

@@ -16,6 +16,7 @@ from hplan.errors import InputError
 from hplan.optimization.minimize_time import OptimizerEffort
 from hplan.planning.effort import Effort, efforts_of
 from hplan.planning.options import PlanOptions
+from hplan.planning.pose_goal import STARTS
 from hplan.planning.specialist import narrow_ranges, presets_of
 from hplan.planning.world import World
 from hplan.robot.limits import least_duration
@@ -46,6 +47,8 @@ class Problem(Record):
         movable: (k,) numbers of the joints that may move.
         other_world: The arm among other obstacles than the scene's; None for the scene's.
         is_draft: True if motions are not certified: each only starts the optimizer of another one.
+        pose_starts: Numbers of starts of the inverse kinematics at a goal pose, tried in order until a configuration is
+            collision-free.
     """
 
     robot: Robot
@@ -60,6 +63,7 @@ class Problem(Record):
     movable: IntArray
     other_world: World | None = None
     is_draft: bool = False
+    pose_starts: tuple[int, ...] = STARTS
 
     @classmethod
     def from_scene(cls, robot: Robot, scene: Scene, options: PlanOptions) -> Problem:

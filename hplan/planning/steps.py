@@ -33,7 +33,7 @@ from hplan.errors import (
 )
 from hplan.kinematics.inverse_kinematics import inverse_kinematics
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import check_task, plan
+from hplan.planning.plan import check_task, plan, plan_if_free
 from hplan.planning.stages import Progress, no_progress
 from hplan.robot.model import Robot
 from hplan.robot.upright import with_fixed_axis
@@ -217,7 +217,7 @@ def _plan_step(robot: Robot, scene: Scene, before: Step | None, step: Step, opti
     leaves = scene.start.contact_depth if before is None or before.change is None else before.contact_depth
     forward = scene.copy_unchecked({"goal": step.goal, "start": _leaving(scene.start, leaves)})
     try:
-        found = plan(robot, forward, options)
+        found = plan(robot, forward, options) if step.change is None else plan_if_free(robot, forward, options)
         return StepMotion(step, found.scene, found.trajectory, found.certificate, False)
     except (ConfigurationInCollisionError, BlockedError) as error:
         at_start = isinstance(error, ConfigurationInCollisionError) and error.which != "goal"

@@ -15,8 +15,10 @@ from hplan.base.arrays import FloatArray
 from hplan.certificate.certificate import certify
 from hplan.certificate.digests import scene_digest
 from hplan.geometry.rotation import quaternion_rotation
+from hplan.kinematics.inverse_kinematics import inverse_kinematics
+from hplan.planning import pose_goal
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import plan
+from hplan.planning.plan import plan, plan_if_free
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box, Obstacle, Sphere
@@ -113,3 +115,25 @@ def test_quaternion_is_a_rotation() -> None:
     drawn = np.random.default_rng(1).normal(size=(20, 4))
     for q in drawn / np.linalg.norm(drawn, axis=1)[:, None]:
         assert quaternion_rotation(q) == pytest.approx(pin.Quaternion(*q[[3, 0, 1, 2]]).toRotationMatrix())
+
+
+def test_more_starts_find_a_clear_configuration(arm: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    goal = pose_at(arm, END)
+    elbow = tuple(arm.forward_kinematics(np.array(END), "elbow_link")[:3, 3].tolist())
+    scene, tried = scene_of(goal, Sphere(name="ball", center=elbow, radius=0.03)), list[int]()
+
+    def few_at_first(*arguments: Any, seeds: int, **options: Any) -> FloatArray:
+        tried.append(seeds)
+        found = inverse_kinematics(*arguments, seeds=seeds, **options)
+        return found if len(tried) > 1 else found[np.abs(found - END).max(axis=1) < 1e-3]
+
+    monkeypatch.setattr(pose_goal, "inverse_kinematics", few_at_first)
+    found = plan(arm, scene, QUICK)
+    assert found.certificate.verified
+    assert reached(arm, scene, found.trajectory.position[-1])
+    assert len(tried) == 2
+    assert tried[1] > tried[0]
+    tried.clear()
+    with pytest.raises(errors.BlockedError):
+        plan_if_free(arm, scene, QUICK)
+    assert len(tried) == 1

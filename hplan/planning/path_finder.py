@@ -33,8 +33,8 @@ Origin: TypeAlias = Literal["none", "direct", "trees", "search", "mended", "kept
 OF_A_CLASS = 3
 
 #: A path is promising if the time along it is at most this multiple of the time along an optimized path: in the same
-#: homotopy class, and in another. On 70 odd MotionBenchMaker problems of Fetch this saves a tenth of the CPU time, and
-#: motions last 1.004 times as long.
+#: homotopy class, and in another. On 70 odd MotionBenchMaker problems of Fetch this saves 7 % of the CPU time, and
+#: motions last 1.005 times as long.
 SAME_CLASS, OTHER_CLASS = 0.95, 1.2
 
 #: Minimum number of distance queries of a second pair of long trees.

@@ -286,7 +286,7 @@ def _optimize(
     if sway is None and is_straight(paths[0], problem.field, processing):
         return None
     # With a velocity-dependent tracking error, retry with larger clearance margins until a motion is certified.
-    for room in [None] if sway is None else [times * sway for times in (1.0, 1.6, 2.5)]:
+    for room in [None] if sway is None or problem.is_draft else [times * sway for times in (1.0, 1.6, 2.5)]:
         with stage("postprocess"):
             program = TimeProblem(problem.field, problem.field, processing, limits, dynamics, rate_hz, sway=room)
             starts = optimization_starts(paths, program)

@@ -69,7 +69,7 @@ def _plans_in_motion(problem: Problem, state: BoundaryState, solve: Solver, stop
     """
     is_found, failure = False, None
     options = problem.options
-    may_be_blended = options.objective == "duration" and options.tracking.delay_s == 0.0 and _is_within(problem, state)
+    may_be_blended = options.objective == "duration" and _is_within(problem, state)
     if may_be_blended:
         try:
             # A motion to joints is certified once it is blended: its start, from rest, is a draft.
@@ -129,6 +129,7 @@ def _blend_start(plan: Plan, state: BoundaryState) -> Plan | None:
     ends = state, BoundaryState.of_row(transit, -1)
     with stage("timing"):
         program = _admitting(time_problem(problem, transit, ends, plan.transit.near), state)
+        program = _with_constant_sway(program, transit)
         effort = problem.effort.begun
         start: TimedMotion = transit
         if np.abs(transit.velocity[0]).max() > REST:
@@ -147,6 +148,17 @@ def _blend_start(plan: Plan, state: BoundaryState) -> Plan | None:
         plan.transit, trajectory=trajectory, certificate=certificate, problem=problem, path=spline.path, near=None
     )
     return replace(plan, transit=blended)
+
+
+def _with_constant_sway(program: TimeProblem, motion: Trajectory) -> TimeProblem:
+    """The program with the maximum displacement of a motion by tracking errors as part of its margin.
+
+    Rows for a displacement that grows with velocity take several times as long. The certificate covers the true one.
+    """
+    if program.sway is None:
+        return program
+    sway = float((program.sway @ np.abs(motion.velocity).max(axis=0)).max())
+    return replace(program, options=replace(program.options, margin=program.options.margin + sway), sway=None)
 
 
 def _admitting(program: TimeProblem, state: BoundaryState) -> TimeProblem:

@@ -14,6 +14,7 @@ from hplan.certificate.digests import Digests
 from hplan.errors import InputError, NotInTimeError, NotOnMotionError, OptionError, RunningMotionBlockedError
 from hplan.online.planner import Planner
 from hplan.online.splice import SplicedResult
+from hplan.planning import start_in_motion
 from hplan.planning.options import PlanOptions
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
@@ -145,7 +146,22 @@ def test_splice_avoids_new_obstacle(robot):
     assert_spliced(robot, planner.scene, result, again)
 
 
-def test_with_tracking_errors_the_arm_stops_on_its_path_first(robot):
+@pytest.mark.parametrize("delay_s", [0.0, 1e-3, 5e-3])
+def test_arm_need_not_stop_for_tracking_errors_that_grow_with_velocity(robot, delay_s):
+    """The certificate covers the errors."""
+    planner, before = a_planner(robot, tracking_error=1e-4, tracking_delay_s=delay_s)
+    planner.move("ball", center=on_the_way(robot, before.trajectory, 0.75))
+    result = planner.replan(at=0.25, now=0.2)
+    assert not result.is_kept
+    assert_spliced(robot, planner.scene, before, result)
+    tracking = {"tracking_error": 1e-4, "tracking_delay_s": delay_s}
+    certificate = certify(robot, result.scene, result.trajectory, check_ends=False, rest_to_rest=False, **tracking)
+    assert certificate.verified, certificate.violations
+    assert np.abs(result.trajectory.velocity[:-10]).max(axis=1).min() > 0.02
+
+
+def test_without_a_blend_the_arm_stops_on_its_path_first(robot, monkeypatch):
+    monkeypatch.setattr(start_in_motion, "_blend_start", lambda plan, state: None)
     planner, before = a_planner(robot, tracking_error=1e-4, tracking_delay_s=1e-3)
     planner.aim(goal=BACK)
     result = planner.replan(at=0.4, now=0.3)

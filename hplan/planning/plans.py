@@ -40,13 +40,16 @@ def with_all_efforts(solve: Solver) -> Solver:
 
     Each plan is faster than the one before.
 
-    The last plan results from the requested effort, or is as fast. The world is prepared before the solver returns.
+    The last plan results from the requested effort, or is as fast; with a deadline, `quick` ends with the first search
+    that finds one. The world is prepared before the solver returns.
     """
 
     def plans(problem: Problem) -> Iterator[Plan]:
         best_s, is_found = math.inf, False
         efforts = efforts_of(presets_of(problem.robot), problem.options)
         for effort in efforts:
+            if is_found and problem.options.effort == "quick":
+                return
             if problem.options.objective == "length":
                 best_s = math.inf  # a larger effort yields shorter paths, not faster motions
             try:

@@ -6,6 +6,7 @@ import json
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from planned import post, task
@@ -13,11 +14,12 @@ from planned import post, task
 import hplan
 from hplan.apps.cli.main import main
 from hplan.apps.execution.simulation import execute
-from hplan.base.deadline import current
+from hplan.base.deadline import current, time_limit
 from hplan.errors import MovingObstacleError, NotFoundError, NotInTimeError, OptionError, PlanCancelledError
 from hplan.planning.motion import Plan
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan, solver
+from hplan.planning.plans import plans_from_rest, with_all_efforts
 from hplan.planning.problem import Problem
 from hplan.planning.world import World, without_inside
 from hplan.robot.model import Robot
@@ -124,6 +126,22 @@ def test_anytime_result_converges_to_result_without_deadline(robot: Robot, name:
     assert (told["deadline_s"], told["cut_short"]) == (ENOUGH_S, False)
     assert told["motions"] >= 1
     assert 0.0 < told["first_s"] <= told["elapsed_s"] < ENOUGH_S
+
+
+@pytest.mark.parametrize(("effort", "searches"), [("quick", 1), ("default", 2)])
+def test_quick_search_ends_with_its_first_plans(robot: Robot, effort: Any, searches: int) -> None:
+    """With a deadline others go on with the requested effort."""
+    seen = []
+
+    def solve(problem: Problem) -> Iterator[Plan]:
+        seen.append(problem.effort.at_once)
+        return plans_from_rest(problem)
+
+    options = hplan.PlanOptions(effort=effort, deadline_s=ENOUGH_S)
+    problem = Problem.from_scene(robot, hplan.load_scene("table-1"), options)
+    with time_limit(ENOUGH_S):
+        assert list(with_all_efforts(solve)(problem))
+    assert seen == [True, False][:searches]
 
 
 def test_best_so_far_is_handed_out_at_the_deadline(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:

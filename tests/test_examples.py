@@ -73,6 +73,20 @@ def test_control_loop() -> None:
     assert log.farthest_off_rad < 0.0002  # the tracking error that the certificates cover
 
 
+def test_control_loop_among_limbs_that_bend(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="the extra `execution` is not installed")
+    (tmp_path / "tree.csv").write_text(TREE)
+    example = runpy.run_path(str(EXAMPLES / "control_loop.py"))
+    scene = example["tree_in_front"](tmp_path / "tree.csv", 1.2, "orchard_harvester")
+    log = example["main"](3.2, scene=scene, deadline_s=None, bending=True)
+    assert log.picked == ["fruit 2"]
+    assert log.left == []
+    assert log.trees.broken == log.trees.knocked_off == log.contacts == ()
+    assert log.trees.limb_force_n <= log.trees.wood.contact_force
+    assert log.trees.hung == {"fruit 2"}  # on the shoot that bends
+    assert 0.0 < log.farthest_off_rad < 0.0003  # the tracking error that the certificates cover
+
+
 def test_panda_shelf(capsys: pytest.CaptureFixture[str]) -> None:
     needs_robot_data()
     result = run("panda_shelf")

@@ -1,6 +1,6 @@
 """Pick fruit with a 100 Hz controller: clouds, splices, stops, in MuJoCo.
 
-    python scripts/examples/control_loop.py [SECONDS] [--unknown solid] [--tree FILE --distance M]
+    python scripts/examples/control_loop.py [SECONDS] [--unknown solid] [--bending] [--tree FILE --distance M]
 
 The planner knows the trees only from four depth cameras in the simulation, with noise: above and below, on both sides
 of the arm. While the arm rests they look closely, with all pixels for several frames; the observed points are then
@@ -18,6 +18,9 @@ driven in. If it cannot reach a fruit that way, a fifth camera on a mast looks f
 proposes. A ray without a return counts as free up to the camera's range: true here, to be verified for a real camera.
 Not covered then: wood thinner than the pixel spacing of a close look, 9 mm at 2 m, and wood in the same voxel of
 `VOXEL_M` as a fruit to be picked.
+
+With `--bending` limbs bend and sway in the wind, fruit hang from stalks, and the gripper must reach them. The planner
+does not know the errors of base, camera and masses (`hplan.apps.execution.field_errors`). MuJoCo measures the forces.
 """
 
 from __future__ import annotations
@@ -31,14 +34,19 @@ from pathlib import Path
 import numpy as np
 
 import hplan
+from hplan.apps.execution.bending_wood import BendingTrees
+from hplan.apps.execution.field_errors import FieldErrors
 from hplan.apps.execution.simulated_arm import CONTROL_PERIOD, Plant, SimulatedArm, Touch
+from hplan.apps.execution.simulation import find_near
+from hplan.apps.execution.tree_response import TreeResponse
+from hplan.apps.execution.wind import Wind
 from hplan.certificate.retimed_certificate import CertifiedMotion
 from hplan.collision.compiled_obstacles import solid_rows
 from hplan.errors import ConfigurationInCollisionError, HplanError, NotInTimeError
 from hplan.online.body_distances import distances_from_bodies
 from hplan.online.frame import CloudOptions
 from hplan.online.planner import Unknown
-from hplan.scene import Box, Goal, Scene, Start
+from hplan.scene import Box, Goal, Scene, Start, with_limbs
 from hplan.scene.orchard import MeasuredOptions, measured_orchard
 from hplan.trajectory.trajectory import Trajectory
 
@@ -56,8 +64,11 @@ NOISE_M, CLOSE_NOISE_M, RADIUS_M, CLOSE_RADIUS_M = 0.016, 0.005, 0.016, 0.008
 #: Extra clearance from points that are not known yet, so that noise in the next frame does not violate the margin [m].
 SPARE_M = 0.005
 
-#: Maximum tracking error of the controller [rad].
-TRACKING_ERROR_RAD = 0.0002
+#: Maximum tracking error of the controller, and if the masses are wrong [rad].
+TRACKING_ERROR_RAD, WRONG_MASSES_RAD = 0.0002, 0.0003
+
+#: How far fruit sway in the wind, and maximum distance from the tool at which the gripper takes them [m].
+SWAY_M, GRIPPER_M = 0.01, 0.03
 
 #: Range of a camera, and edge length of the voxels of seen space [m].
 RANGE_M, VOXEL_M = 6.0, 0.03
@@ -121,17 +132,29 @@ class Log:
     planned_ms: list[float] = field(default_factory=list)
     contacts: tuple[Touch, ...] = ()
     farthest_off_rad: float = 0.0
+    trees: TreeResponse | None = None
 
 
 class ControlLoop:
     """A planner, a controller and a simulated arm."""
 
-    def __init__(self, scene: Scene, options: hplan.PlanOptions, unknown: Unknown = "free") -> None:
+    def __init__(
+        self, scene: Scene, options: hplan.PlanOptions, unknown: Unknown = "free", *, bending: bool = False
+    ) -> None:
         """Start at a scene's start: the planner gets its fruits, not its obstacles."""
         robot = hplan.load_robot(scene.robot)
         home = np.array(scene.start.configuration)
         there = scene.with_values(goal=Goal(joints_rad=tuple(home.tolist())))
-        self.machine = SimulatedArm(robot, there, Plant(bandwidth=200.0))
+        plant, seen, trees, near, self.sway_m = Plant(bandwidth=200.0), there, None, None, 0.0
+        if bending:
+            errors, random = FieldErrors(), np.random.default_rng(1)
+            there, trees, self.sway_m = with_limbs(there), BendingTrees(wind=Wind()), SWAY_M
+            seen = errors.seen_scene(there, random).with_values(wood=None)
+            plant = plant.with_values(mass_factor=errors.mass_factor(random))
+            grasps = [fruit.grasp for fruit in hplan.reachable(robot, there).values()]
+            ways = [np.linspace(home, grasp.goal, 15) for grasp in grasps if grasp is not None]
+            near = find_near(robot, there, np.vstack([home, *ways]))  # other limbs are rigid, which saves time
+        self.machine = SimulatedArm(robot, there, plant, trees=trees, bending=near)
         self.machine.place(home)
         self.cameras = {
             f"{name} {across}": Camera((-0.4, side, up), (1.3, 0.0, at))
@@ -141,17 +164,24 @@ class ControlLoop:
         self.unknown = unknown
         spots = product((1.5, 2.0, 2.5, 1.0, 0.5), (-1.0, -0.5, 0.0, 0.5, 1.0, -1.5, 1.5))
         self.mast = {f"mast {n}": Camera((-0.4, side, up), (1.3, 0.0, 1.4)) for n, (up, side) in enumerate(spots)}
-        self.planner = hplan.Planner(robot, there.with_obstacles(()), options)
+        self.planner = hplan.Planner(robot, seen.with_obstacles(()), options)
         self.log, self.todo = Log(), [fruit.name for fruit in scene.fruits]
         self.running: hplan.PlanResult | CertifiedMotion | None = None
         self.resting, self.waits_until_s, self.fruit, self.has_looked = home, LOOK_S, "", False
         self.looked_from: list[str] = []
         self.later: set[str] = set()
+        self.held: set[str] = set()
 
     @property
     def ends_s(self) -> float:
         """When the running motion comes to its end [s]."""
         return 0.0 if self.running is None else self.running.begins_s + self.running.trajectory.duration
+
+    @property
+    def grasps_s(self) -> float:
+        """When the running motion grasps its fruit [s]."""
+        motion = self.running
+        return motion.begins_s + motion.picked_fruit[self.fruit] if isinstance(motion, hplan.PlanResult) else np.inf
 
     def tick(self, number: int) -> None:
         """One period of the loop."""
@@ -163,6 +193,8 @@ class ControlLoop:
             self.stop()
         if self.running is None and self.machine.time_s >= self.waits_until_s:
             self.choose()
+        if self.fruit and self.machine.time_s >= self.grasps_s:
+            self.grip(self.fruit)
         for _step in range(round(TICK_S / CONTROL_PERIOD)):
             still = np.zeros_like(self.resting)
             state = self.resting, still, still
@@ -181,7 +213,8 @@ class ControlLoop:
                 radius=CLOSE_RADIUS_M, pose=camera.pose, joints=self.machine.position, ignore=self.todo, keep_s=3600.0,
                 time_s=self.machine.time_s, unknown=self.unknown,
                 options=CloudOptions(
-                    ignore_padding_m=CLOSE_NOISE_M, growth_m=0.003, unseen_edge_m=VOXEL_M, known_free=(LANE,)
+                    ignore_padding_m=CLOSE_NOISE_M + self.sway_m, growth_m=0.003,
+                    unseen_edge_m=VOXEL_M, known_free=(LANE,),
                 ),
             )  # fmt: skip
         self.has_looked = True
@@ -217,7 +250,7 @@ class ControlLoop:
             self.planner.set_cloud(
                 f"news {name}", points, radius=radius, pose=self.cameras[name].pose, joints=self.machine.position,
                 ignore=[*self.todo, *known], keep_s=60.0, time_s=self.machine.time_s,
-                options=CloudOptions(ignore_padding_m=NOISE_M),
+                options=CloudOptions(ignore_padding_m=NOISE_M + self.sway_m),
             )  # fmt: skip
         self.log.frames += 1
         self.log.seen_ms.append(1e3 * (time.perf_counter() - began))
@@ -244,7 +277,7 @@ class ControlLoop:
             try:
                 self.running = self.planner.plan(begins_s=self.machine.time_s)
                 self.log.motions.append(self.running)
-                self.machine.pass_through([self.fruit])
+                self.machine.ignore_contacts([self.fruit])
             except ConfigurationInCollisionError as error:
                 if error.obstacle not in self.todo:
                     self.waits_until_s = self.machine.time_s + STAYS_S  # perhaps the next frames see it elsewhere
@@ -280,13 +313,19 @@ class ControlLoop:
             self.take(self.fruit)
 
     def take(self, fruit: str) -> None:
-        """A fruit is in the hand, and no obstacle any more."""
+        """A fruit is in the hand, or the gripper missed it; a fruit to pick no more."""
         self.planner.aim(goal=Goal(joints_rad=tuple(self.resting.tolist())))
         self.planner.remove(fruit)
-        self.machine.take_away([fruit])
         self.todo.remove(fruit)
-        self.log.picked.append(fruit)
+        self.grip(fruit)
+        (self.log.picked if fruit in self.held else self.log.left).append(fruit)
         self.fruit = ""
+
+    def grip(self, fruit: str) -> None:
+        """Take a fruit off the tree; it must be in the reach of the gripper if it hangs."""
+        if self.machine.trees is None or self.machine.distance_to_fruit(fruit) <= GRIPPER_M:
+            self.machine.take_away([fruit])
+            self.held.add(fruit)
 
 
 def tree_in_front(file: Path, distance_m: float, arm: str) -> Scene:
@@ -311,10 +350,13 @@ def main(
     scene: Scene | str = "tour",
     deadline_s: float | None = AHEAD_S,
     unknown: Unknown = "free",
+    bending: bool = False,
 ) -> Log:
     """Pick for a while, and print the result."""
-    options = hplan.PlanOptions(deadline_s=deadline_s, tracking_error=TRACKING_ERROR_RAD)
-    loop = ControlLoop(hplan.load_scene(scene) if isinstance(scene, str) else scene, options, unknown)
+    tracking = WRONG_MASSES_RAD if bending else TRACKING_ERROR_RAD
+    options = hplan.PlanOptions(deadline_s=deadline_s, tracking_error=tracking)
+    scene = hplan.load_scene(scene) if isinstance(scene, str) else scene
+    loop = ControlLoop(scene, options, unknown, bending=bending)
     for number in range(round(seconds / TICK_S)):
         loop.tick(number)
     log = loop.log
@@ -323,6 +365,11 @@ def main(
     print(f"{log.frames} frames, {log.views} views from the mast, {log.spliced} motions spliced, {log.stops} stops")
     print(f"frames taken up in {np.median(log.seen_ms):.0f} ms, planned anew in {np.median(log.planned_ms):.0f} ms")
     print(f"joints at most {1e3 * log.farthest_off_rad:.2f} mrad off; contacts: {log.contacts or 'none'}")
+    if loop.machine.trees is not None:
+        log.trees = trees = loop.machine.trees.response({})
+        print(f"largest forces: {trees.limb_force_n:.1f} N on limbs, {trees.fruit_force_n:.1f} N on fruit")
+        for words, damage in (("broken", trees.broken), ("knocked off", trees.knocked_off)):
+            print(f"{words}: {', '.join(one.name for one in damage) or 'nothing'}")
     return log
 
 
@@ -330,10 +377,11 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Pick fruit with a controller, in MuJoCo.")
     parser.add_argument("seconds", type=float, nargs="?", default=8.0, help="of simulation")
     parser.add_argument("--unknown", choices=("free", "solid"), default="free", help="treatment of unseen space")
+    parser.add_argument("--bending", action="store_true", help="limbs that bend in the wind, and errors in the field")
     parser.add_argument("--tree", type=Path, help="a measured tree instead of the tour that ships with hplan")
     parser.add_argument("--distance", type=float, default=1.4, help="of the tree [m]")
     parser.add_argument("--arm", default="orchard_harvester", help="arm that picks from the tree")
     parser.add_argument("--deadline", type=float, default=AHEAD_S, help="of each plan [s]; 0 for none")
     given = parser.parse_args()
     orchard = "tour" if given.tree is None else tree_in_front(given.tree, given.distance, given.arm)
-    main(given.seconds, scene=orchard, deadline_s=given.deadline or None, unknown=given.unknown)
+    main(given.seconds, scene=orchard, deadline_s=given.deadline or None, unknown=given.unknown, bending=given.bending)

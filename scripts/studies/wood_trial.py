@@ -1,7 +1,7 @@
 """A field trial in simulation: an arm picks from trees that bend in the wind, with errors.
 
-The planner sees each tree from a base that is off by `BASE_M` and `BASE_DEG`, and fruit with camera noise. It plans all
-motions before the first one is executed on an arm whose masses differ from the model's by `MASS_ERROR`. Limbs bend and
+The planner sees each tree from a base that is off, and fruit with camera noise. It plans all motions before the first
+one is executed on an arm whose masses differ from the model's (`hplan.apps.execution.field_errors`). Limbs bend and
 sway in the wind, and fruit hang from stalks that break.
 
 After the base has stopped, the camera takes `LOOKS` frames, and the tree is registered to their mean.
@@ -17,7 +17,7 @@ stand-offs.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,6 +28,7 @@ from studies.measure import timed
 from studies.peers import ompl_path, seed_ompl, toppra_motion, world_of
 
 from hplan.apps.execution.bending_wood import BendingTrees
+from hplan.apps.execution.field_errors import SIGMAS, FieldErrors
 from hplan.apps.execution.simulated_arm import CONTROL_PERIOD, Plant, SimulatedArm
 from hplan.apps.execution.simulation import find_near
 from hplan.apps.execution.wind import Wind
@@ -38,7 +39,6 @@ from hplan.planning.options import PlanOptions
 from hplan.planning.reachable import FruitReach, reachable
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start, with_limbs
-from hplan.scene.obstacle_kind import Convex
 from hplan.scene.obstacles import Capsule
 from hplan.scene.orchard import MeasuredOptions, measured_orchard
 from hplan.scene.wood import Wood
@@ -49,15 +49,10 @@ PLANNERS = ("hplan", "recipe, all rigid", "recipe, thin wood left out")
 
 #: Distance of the trunk [m], maximum number of fruits to pick, and frames of the camera; --values distance, fruits and
 #: looks override them.
-DISTANCE_M, FRUITS, LOOKS = 1.2, 12, 30
+DISTANCE_M, FRUITS, LOOKS = 1.2, 12, FieldErrors().looks
 
-#: Errors of the base's position [m] and heading [deg], standard deviation of a fruit's position by the camera [m],
-#: relative error of the masses, and mean speed of the wind [m/s].
-BASE_M, BASE_DEG, CAMERA_M, MASS_ERROR, WIND_M_S = 0.005, 0.3, 0.003, 0.2, 3.0
-
-#: Standard deviations that certificates cover. Three of those that the scene states are the largest error of the base
-#: at an obstacle, and for fruit the camera's as well.
-SIGMAS = 3.0
+#: Mean speed of the wind [m/s].
+WIND_M_S = 3.0
 
 #: Tracking error that motions allow for [rad], and the controller's bandwidth [rad/s].
 TRACKING_RAD, BANDWIDTH = 0.0003, 200.0
@@ -120,67 +115,6 @@ def true_scene(config: StudyConfig, file: Path) -> Scene:
     scene = with_limbs(measured_orchard([file], MeasuredOptions(distance=distance, yaw_deg=180.0)))
     joints = tuple(scene.start.configuration.tolist())
     return scene.with_values(goal=Goal(joints_rad=joints))
-
-
-def seen_scene(scene: Scene, random: np.random.Generator, *, looks: int = 0) -> Scene:
-    """The scene as the planner sees it: from a base that is off, with noise in the positions of fruit.
-
-    Args:
-        scene: The true scene.
-        random: Random number generator.
-        looks: Number of frames that the camera takes after the stop to register the tree; 0 for no registration.
-    """
-    heading = float(random.uniform(0.0, 2.0 * math.pi))
-    off = BASE_M * np.array([math.cos(heading), math.sin(heading), 0.0])
-    seen = scene.shift(off, BASE_DEG * float(random.choice((-1.0, 1.0))))
-    base_sigma: Callable[[Sequence[float]], float] = _base_sigma
-    noise = CAMERA_M / math.sqrt(max(1, looks))
-    if looks:
-        seen, base_sigma = _registered(seen, scene, noise, random)
-    fruits = tuple(
-        fruit.copy_unchecked({
-            "center": tuple((np.array(fruit.center) + random.normal(scale=noise, size=3)).tolist()),
-            "sigma": math.hypot(base_sigma(fruit.center), noise),
-        })
-        for fruit in seen.fruits
-    )  # fmt: skip
-    obstacles = tuple(
-        piece.copy_unchecked({"sigma": max(base_sigma(point) for point in piece.core.tolist())})
-        for piece in seen.obstacles
-        if isinstance(piece, Convex)
-    )
-    return seen.with_values(obstacles=obstacles, fruits=fruits)
-
-
-def _base_sigma(point: Sequence[float]) -> float:
-    """Standard deviation of which `SIGMAS` are the largest error of a point by that of the base [m]."""
-    return (BASE_M + math.radians(BASE_DEG) * math.hypot(*point[:2])) / SIGMAS
-
-
-def _registered(
-    seen: Scene, scene: Scene, noise: float, random: np.random.Generator
-) -> tuple[Scene, Callable[[Sequence[float]], float]]:
-    """The scene moved to where the camera sees its fruit, and the standard deviation of a point by what remains [m].
-
-    Heading and shift are the least-squares fit of n fruit. A point is off by the shift of their centre, which has the
-    variance s^2 / n in each coordinate, and by the heading, with the variance s^2 over the fruit's squared distances
-    from their centre.
-    """
-    known, true = (np.array([fruit.center for fruit in one.fruits]) for one in (seen, scene))
-    found = true + random.normal(scale=noise, size=true.shape)
-    center = found.mean(axis=0)
-    (x, y), (u, v) = (known - known.mean(axis=0))[:, :2].T, (found - center)[:, :2].T
-    heading, squares = math.atan2(float(x @ v - y @ u), float(x @ u + y @ v)), float(u @ u + v @ v)
-    turned = seen.shift(np.zeros(3), math.degrees(heading))
-    moved = turned.shift(center - np.mean([fruit.center for fruit in turned.fruits], axis=0))
-
-    # A single fruit says nothing of the heading.
-    turn = noise / math.sqrt(squares) if len(found) > 1 else math.radians(BASE_DEG) / SIGMAS
-
-    def sigma(point: Sequence[float]) -> float:
-        return math.hypot(noise / math.sqrt(len(found)), turn * math.dist(point[:2], center[:2].tolist()))
-
-    return moved, sigma
 
 
 def _plan_tour(config: StudyConfig, robot: Robot, seen: Scene) -> _Work:
@@ -274,7 +208,8 @@ def _try(config: StudyConfig, trial: Trial) -> Row:
     """Plan and execute; forces and damage beside the fruit picked."""
     robot, random = config.arm("orchard_harvester"), np.random.default_rng((config.seed, trial.number))
     scene = true_scene(config, trial.tree)
-    seen = seen_scene(scene, random, looks=int(config.values.get("looks", (LOOKS,))[0]))
+    errors = FieldErrors(looks=int(config.values.get("looks", (LOOKS,))[0]))
+    seen = errors.seen_scene(scene, random)
     if trial.planner == PLANNERS[0]:
         work = _plan_tour(config, robot, seen)
     else:
@@ -284,7 +219,7 @@ def _try(config: StudyConfig, trial: Trial) -> Row:
                 "planned": len(work.grasps), "duration_s": work.duration}  # fmt: skip
     if not work.grasps:
         return row | {"picked": 0, "fruit_per_hour": 0.0}
-    plant = Plant(mass_factor=1.0 + MASS_ERROR * float(random.choice((-1.0, 1.0))), bandwidth=BANDWIDTH, decoupled=True)
+    plant = Plant(mass_factor=errors.mass_factor(random), bandwidth=BANDWIDTH, decoupled=True)
     wind = Wind(speed_m_s=config.values.get("wind", (WIND_M_S,))[0], seed=config.seed + trial.number)
     row |= _execute(robot, scene, work, plant, BendingTrees(wind=wind))
     is_harmful = row["broken"] or row["knocked_off"] or row["rigid_contacts"]
@@ -295,7 +230,7 @@ def _try(config: StudyConfig, trial: Trial) -> Row:
 def _execute(robot: Robot, scene: Scene, work: _Work, plant: Plant, trees: BendingTrees) -> Row:
     """Execute a motion among trees that bend, and take the fruit that the gripper reaches."""
     arm = SimulatedArm(robot, scene, plant, trees=trees, bending=find_near(robot, scene, work.position[::20]))
-    monitor, center = arm.trees, {fruit.name: np.array(fruit.center) for fruit in scene.fruits}
+    monitor = arm.trees
     assert monitor is not None
     velocity = np.gradient(work.position, CONTROL_PERIOD, axis=0)
     acceleration = np.gradient(velocity, CONTROL_PERIOD, axis=0)
@@ -309,26 +244,21 @@ def _execute(robot: Robot, scene: Scene, work: _Work, plant: Plant, trees: Bendi
         off = max(off, float(np.abs(arm.position - state[0]).max()))
         if row in rows:
             name = rows[row]
-            place = monitor.place_of(name)
-            place = center[name] if place is None else place
-            miss = float(np.linalg.norm(robot.tool_positions(arm.position) - place))
-            if not monitor.is_released(name):
-                misses.append(miss)
-                if miss <= GRIPPER_M:
-                    picked.append(name)
-                    arm.take_away([name])
+            miss = arm.distance_to_fruit(name)
+            misses += [miss] if math.isfinite(miss) else []
+            if miss <= GRIPPER_M:
+                picked.append(name)
+                arm.take_away([name])
             following = next(target, None)
             if following is not None:
                 arm.ignore_contacts([following[0]])
         arm.follow(*state)
     response, limits = monitor.response({}), scene.wood or Wood()
-    limbs = [one.force_n for one in response.contacts if not one.is_fruit]
-    fruit = [one.force_n for one in response.contacts if one.is_fruit]
     touched = {one.limb for one in response.contacts}
     return {
         "picked": len(picked), "fruit_per_hour": 3600.0 * len(picked) / (work.duration + GRIP_S * len(work.grasps)),
         "miss_mm": 1e3 * float(np.median(misses)) if misses else None, "most_miss_mm": 1e3 * max(misses, default=0.0),
-        "limb_force_n": max(limbs, default=0.0), "fruit_force_n": max(fruit, default=0.0),
+        "limb_force_n": response.limb_force_n, "fruit_force_n": response.fruit_force_n,
         "stress_mpa": 1e-6 * float(monitor.max_stress_pa.max(initial=0.0)),
         "over_limits": sum(not one.is_within(limits) for one in response.contacts),
         "broken": len(response.broken), "knocked_off": len(response.knocked_off),

@@ -393,10 +393,25 @@ class SimulatedArm:
             InputError: The simulated scene has no obstacle or fruit of that name.
         """
         for name in names:
-            geoms = [geom for geom, obstacle in self._obstacle_of.items() if obstacle == name]
-            if not geoms:
-                raise InputError(f"the simulated scene has no obstacle {name!r}", name=name)
-            self._model.geom_conaffinity[geoms] = 0
+            self._model.geom_conaffinity[self._geoms(name)] = 0
+
+    def _geoms(self, name: str) -> list[int]:
+        """Numbers of the geometries of an obstacle or fruit."""
+        geoms = [geom for geom, obstacle in self._obstacle_of.items() if obstacle == name]
+        if not geoms:
+            raise InputError(f"the simulated scene has no obstacle {name!r}", name=name)
+        return geoms
+
+    def distance_to_fruit(self, name: str) -> float:
+        """Distance of the tool from the centre of a fruit [m]; infinite if it is off its stalk.
+
+        Raises:
+            InputError: The simulated scene has no fruit of that name.
+        """
+        (geom,) = self._geoms(name)
+        if self.trees is not None and self.trees.is_released(name):
+            return math.inf
+        return math.dist(self.robot.tool_positions(self.position), self._data.geom_xpos[geom])
 
     def take_away(self, names: Sequence[str]) -> None:
         """Remove obstacles or fruits: contacts and rays ignore them.

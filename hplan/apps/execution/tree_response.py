@@ -100,6 +100,16 @@ class TreeResponse(Record):
         """True if no limit was exceeded, no limb broke and no fruit was knocked off."""
         return not self.broken and not self.knocked_off and all(one.is_within(self.wood) for one in self.contacts)
 
+    @property
+    def limb_force_n(self) -> float:
+        """Largest force between a link and a limb [N]."""
+        return max((one.force_n for one in self.contacts if not one.is_fruit), default=0.0)
+
+    @property
+    def fruit_force_n(self) -> float:
+        """Largest force between a link and a hung fruit [N]."""
+        return max((one.force_n for one in self.contacts if one.is_fruit), default=0.0)
+
     def displacement_at(self, fruit: str, time_s: float) -> float | None:
         """Displacement of a fruit that hung at the start [m]; None for other fruit.
 

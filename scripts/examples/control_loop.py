@@ -21,6 +21,7 @@ Not covered then: wood thinner than the pixel spacing of a close look, 9 mm at 2
 
 With `--bending` limbs bend and sway in the wind, fruit hang from stalks, and the gripper must reach them. The planner
 does not know the errors of base, camera and masses (`hplan.apps.execution.field_errors`). MuJoCo measures the forces.
+Not covered then: wood within `SWAY_M` more of a fruit, and wood that sways out of the balls between two frames.
 """
 
 from __future__ import annotations

@@ -6,7 +6,9 @@ They cover the base during the motion and the arm at rest after it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import weakref
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -30,16 +32,32 @@ def checker_in_time(robot: Robot, scene: Scene, sigmas: Sigmas) -> CoalScene:
 
     Fruits are included.
 
-    Each solid is grown for its position uncertainty. If some solids move, the checker is time-dependent.
+    Each solid is grown for its position uncertainty. If some solids move, the checker is time-dependent. The robot
+    keeps the last one for as long as the scene exists: motions that are judged one after another share it.
     """
+    kept: list[_LastChecker] = robot.cache(checker_in_time, list)
+    for last in kept[:]:
+        if last.scene() is scene and last.sigmas == sigmas:
+            return last.checker
     solids, leaving = scene.listed_solids, leaving_of(robot, scene)
     movements = scene.movements if scene.moves else ()
     grown = growths(solids, sigmas)
-    return CoalScene(
+    checker = CoalScene(
         robot, solids, growth=grown, movements=movements, yield_links=scene.yield_links,
         clearance=0.0 if leaving is None else scene.clearance, leaving=leaving,
         upright=UprightTool.of_scene(robot, scene),
     )  # fmt: skip
+    asked = dict(sigmas) if isinstance(sigmas, Mapping) else sigmas
+    kept[:] = [_LastChecker(weakref.ref(scene, lambda _: kept.clear()), asked, checker)]
+    return checker
+
+
+class _LastChecker(NamedTuple):
+    """The last checker of a robot, and what it was built for."""
+
+    scene: weakref.ref[Scene]
+    sigmas: Sigmas
+    checker: CoalScene
 
 
 def end_violations(checker: CoalScene, q: FloatArray, clearance: float) -> Iterator[str]:

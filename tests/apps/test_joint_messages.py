@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hplan.apps.ros import from_joint_trajectory, to_joint_state, to_joint_trajectory, write_joint_trajectory
-from hplan.apps.ros.transforms import message_time, seconds_of, time_ns
+from hplan.apps.ros.transforms import message_time, seconds_of, time_ns, times_ns
 from hplan.certificate.digests import trajectory_digest
 from hplan.errors import InputError, OptionError
 from hplan.robot.model import Robot
@@ -90,6 +90,19 @@ def test_times_are_the_nearest_nanoseconds(seconds: float) -> None:
     exact = Decimal(seconds)
     assert abs(Decimal(found["sec"]) + Decimal(found["nanosec"]) / 10**9 - exact) <= Decimal("5e-10")
     assert seconds_of("t", found) == pytest.approx(seconds, abs=1e-9, rel=1e-15)
+
+
+def test_many_times_are_those_of_one(swing: Trajectory) -> None:
+    """Halves of a nanosecond, and what is next to them, are rounded as one time alone."""
+    rng = np.random.default_rng(0)
+    halves = rng.integers(0, 2**20, 2000) + (rng.integers(0, 10**9, 2000) + 0.5) / 1e9
+    exact = np.array([0.5**10 * k for k in range(1, 2000)])
+    times = np.sort(
+        np.concatenate([[0.0], exact, halves, np.nextafter(halves, 0.0), rng.uniform(0.0, 2.0**31 - 1, 2000)])
+    )
+    assert times_ns("time", times) == [time_ns("time", each) for each in times.tolist()]
+    with pytest.raises(OptionError, match="time"):
+        times_ns("time", np.array([0.0, 2.0**31]))
 
 
 def test_there_and_back(swing: Trajectory) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
 import math
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -321,6 +323,26 @@ def test_checker_of_moving_obstacles_wants_a_time(robot):
     for ask in (lambda: checker.distances(q), lambda: checker.place(q), lambda: checker.in_collision(q[None])):
         with pytest.raises(MovingObstacleError):
             ask()
+
+
+def test_motions_of_one_scene_share_a_checker(robot):
+    """The same scene and uncertainties give the same checker and certificate, others do not, and none is kept alive."""
+    ball = Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.1, sigma=0.01)
+    scene, motion = scene_of(REST, AWAY, [ball]), quintic(robot, REST, AWAY)
+    sigmas = {"ball": 3.0}
+    first, checker = certify(robot, scene, motion, sigmas=sigmas), checker_in_time(robot, scene, sigmas)
+    assert checker_in_time(robot, scene, {"ball": 3.0}) is checker
+    assert certify(robot, scene, motion, sigmas=sigmas) == first
+    sigmas["ball"] = 9.0
+    grown = checker_in_time(robot, scene, sigmas)
+    assert grown is not checker
+    assert grown.distances(np.radians(REST))[0, 0] == pytest.approx(checker.distances(np.radians(REST))[0, 0] - 0.06)
+    away = scene.with_obstacles(())
+    assert "ball" not in checker_in_time(robot, away, sigmas).obstacle_names
+    kept, last = checker_in_time(robot, scene, 0.0), weakref.ref(checker_in_time(robot, scene, 0.0))
+    del scene, kept, first, away
+    gc.collect()
+    assert last() is None
 
 
 def test_many_obstacles_are_in_several_models(robot):

@@ -24,7 +24,7 @@ import numpy as np
 import yaml
 
 from hplan.apps.ros.fields import are_messages, column, fields_of, is_message, read_message, stack_rows
-from hplan.apps.ros.transforms import SECOND_NS, message_time, seconds_of, time_ns
+from hplan.apps.ros.transforms import SECOND_NS, message_time, seconds_of, time_ns, times_ns
 from hplan.base.arguments import check_integer, file_path, instance, list_between, list_of, one_of, truth
 from hplan.base.arrays import FloatArray, numbers
 from hplan.base.files import write_text
@@ -79,7 +79,7 @@ def to_joint_trajectory(
     given = (*_FIELDS_OF[trajectory.interpolation], *(["effort"] if truth("effort", effort) else []))
     fields = {field: name for field, name in _FIELDS.items() if field in given}
     left_out: dict[str, list[float]] = {field: [] for field in _FIELDS if field not in given}
-    times = [time_ns("time", time) for time in trajectory.time.tolist()]
+    times = times_ns("time", trajectory.time)
     for row, (first, second) in enumerate(pairwise(times), start=1):
         if first == second:
             raise InputError(f"sample {row} of the trajectory is within a nanosecond of the one before it", row=row)
@@ -201,7 +201,7 @@ def from_joint_trajectory(
     if not isinstance(points, list | tuple) or not points or not are_messages(points):
         points = _list(content, "points", Mapping)
     columns = {field: column(points, field) for field in _FIELDS}
-    given = {field for field, rows in columns.items() if any(not _is_empty(row) for row in rows)}
+    given = {field for field, rows in columns.items() if not _are_empty(rows)}
     curve = _curve_of(given, interpolation)
     count = len(points)
     arrays = {
@@ -352,9 +352,11 @@ def _needs_stamp(trajectory: Trajectory) -> bool:
     return bool(moving)
 
 
-def _is_empty(row: Any) -> bool:
-    """True for an empty list, and for None."""
-    return row is None or (isinstance(row, Sized) and len(row) == 0)
+def _are_empty(rows: Sequence[Any]) -> bool:
+    """True if all rows are empty lists or None."""
+    if {*map(type, rows)} == {array}:
+        return not any(map(len, rows))
+    return all(row is None or (isinstance(row, Sized) and len(row) == 0) for row in rows)
 
 
 def _header(frame_id: str, stamp_ns: int) -> dict[str, Any]:

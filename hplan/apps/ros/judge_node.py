@@ -16,7 +16,6 @@ the arm is, are rejected; others are handed on to the controller's action, with 
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -119,9 +118,6 @@ def make_node() -> Any:
             Judge(robot, self.judge.scene, self.of_judge).judge(
                 {"joint_names": [prefix + name for name in rest], "points": points}
             )
-            # A collection among all objects of the libraries takes a tenth of a second.
-            gc.collect()
-            gc.freeze()
 
         def see_joints(self, state: Any) -> None:
             self.judge.arm.see(state, 0.0)

@@ -55,7 +55,7 @@ from hplan.certificate.clearance_curve import (
 )
 from hplan.certificate.clearance_proof import Proof, prove_clearance
 from hplan.certificate.digests import Digests
-from hplan.certificate.goal_contact import REST, FruitContact, contact_window
+from hplan.certificate.goal_contact import REST, FruitContact, arrival_distance, contact_window
 from hplan.certificate.goal_displacement import capture_violations, goal_displacement
 from hplan.certificate.limb_loads import load_violations
 from hplan.certificate.limit_use import LimitUse, limit_use
@@ -385,7 +385,8 @@ def goal_contacts(
     first = int(np.searchsorted(time, rests_s))
     pieces: slice | None = slice(first, last) if first <= last else None
     if goal_contact != "motion" and pieces is not None:
-        found = contact_window(robot, _pieces(trajectory)[min(first, max(0, last - 1)) :], at or fruit.center)
+        bezier = _pieces(trajectory)[min(first, max(0, last - 1)) :]
+        found = contact_window(robot, bezier, at or fruit.center, arrival_distance(fruit))
         pieces = None if found is None else slice(found.start + first, found.stop + first)
     if pieces is None:
         return ()

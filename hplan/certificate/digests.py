@@ -113,6 +113,8 @@ def scene_digest(scene: Scene) -> str:
     for fruit in scene.fruits:
         if fruit.hangs_from:
             found.add_text(fruit.name, "hangs_from", *fruit.hangs_from)
+        if fruit.grasp_offset:
+            found.add_text(fruit.name, "grasp_offset", repr(fruit.grasp_offset))
     if scene.yield_links is not None:
         found.add_text("yield_links", *scene.yield_links)
     if scene.wood is not None:

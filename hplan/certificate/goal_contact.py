@@ -1,7 +1,8 @@
 r"""Time window of contact with the goal fruit: straight approach and retreat.
 
 The goal fruit is an obstacle for every link at all times, with one exception: the last link, in one contiguous time
-window around the instant when the tool is at the fruit's centre. In this window
+window around the instant when the tool is at the fruit's centre, or nearest to it and within the fruit's
+`grasp_offset`. In this window
 
 - the tool keeps within `OFFSET` of the half-line that starts at its position at that instant, :math:`p^*`, and runs
   backward along the last link, :math:`\{p^* - x u^* : x \ge 0\}`: it moves straight along the link, and no deeper;
@@ -119,12 +120,18 @@ def instant_at(robot: Robot, rows: FloatArray, point: ArrayLike) -> tuple[int, f
     return row, float(away[row])
 
 
-def contact_window(robot: Robot, bezier: FloatArray, point: ArrayLike) -> slice | None:
+def arrival_distance(fruit: Fruit) -> float:
+    """Maximum distance of the tool from a fruit's centre at the grasp [m]."""
+    return THERE + fruit.grasp_offset
+
+
+def contact_window(robot: Robot, bezier: FloatArray, point: ArrayLike, within: float = THERE) -> slice | None:
     """Segments in which the last link may touch the fruit.
 
     Args:
         bezier: (pieces, 4 or 6, dof) Bezier points of the motion's segments.
         point: (3,) the fruit's centre, in `base_link` [m].
+        within: Maximum distance of the tool from the point [m].
 
     Returns:
         A range of segments; None if the tool never reaches the point, or not on a straight approach.
@@ -132,7 +139,7 @@ def contact_window(robot: Robot, bezier: FloatArray, point: ArrayLike) -> slice 
     rows = np.vstack([bezier[:, 0], bezier[-1:, -1]])
     with np.errstate(over="ignore", invalid="ignore"):
         row, away = instant_at(robot, rows, point)
-        if not away <= THERE:
+        if not away <= within:
             return None
         straight = _is_straight(robot, bezier, rows, row)
     bent_before, bent_after = np.flatnonzero(~straight[:row]), np.flatnonzero(~straight[row:])

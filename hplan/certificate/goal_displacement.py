@@ -17,8 +17,9 @@ where the energy of a contact that ended :math:`t_i` before the grasp has decaye
 
 The goal fruit of a scene is rigid, so nothing pushes it before the straight approach; fruit of a tour may be pushed
 until then. A push that lasts until then counts as held until the grasp: the hand takes the fruit in where it pushed it.
-On the approach the hand keeps within `hplan.certificate.goal_contact.OFFSET` of a line to the fruit's centre, and takes
-it in without pushing it. Without an approach the last link may touch the fruit at all times: only other links count.
+On the approach the hand keeps within `hplan.certificate.goal_contact.OFFSET` of a line to where it grasps the fruit,
+and takes it in without pushing it. Without an approach the last link may touch the fruit at all times: only other links
+count.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.certificate.clearance_curve import ProvedMotion, Subject
-from hplan.certificate.goal_contact import REST
+from hplan.certificate.goal_contact import REST, THERE
 from hplan.certificate.segment_contacts import SegmentContacts
 from hplan.scene.obstacle_kind import ContactLimit
 from hplan.scene.wood import DAMPING_RATIO
@@ -55,7 +56,7 @@ class Grasp(NamedTuple):
 
     Attributes:
         name: Name of the fruit.
-        fruit: Its own contact limit.
+        fruit: Its own contact limit; a grasp off its centre takes its distance from the capture range.
         touched_s: Time from which the hand may touch it [s].
         time_s: Time of the grasp [s].
     """
@@ -112,7 +113,9 @@ def _grasps_of(motion: ProvedMotion) -> Iterator[Grasp]:
         for name, center, limit in fruits:
             first_s = touched_s.setdefault(name, float(trajectory.time[part.start]))
             apart = np.linalg.norm(robot.tool_positions(trajectory.position[resting]) - center, axis=1)
-            yield Grasp(name, limit, first_s, float(trajectory.time[resting[ties.argmin(apart)]]))
+            nearest = int(ties.argmin(apart))
+            left_m = max(0.0, limit.capture_range - max(0.0, float(apart[nearest]) - THERE))
+            yield Grasp(name, limit._replace(capture_range=left_m), first_s, float(trajectory.time[resting[nearest]]))
 
 
 def displacement_at(contacts: SegmentContacts, grasp: Grasp) -> float:

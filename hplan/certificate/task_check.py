@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import FloatArray
-from hplan.certificate.goal_contact import THERE, instant_at
+from hplan.certificate.goal_contact import THERE, arrival_distance, instant_at
 from hplan.kinematics.tool_at_point import approach_angles
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene
@@ -57,7 +57,7 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray, times: Float
         return
     resting = scene.resting_goal_fruit
     if resting is None:
-        row, what = len(rows) - 1, "position"
+        row, what, within = len(rows) - 1, "position", THERE
         away = instant_at(robot, rows[-1:], np.array(scene.goal.position))[1]
     else:
         fruit, rests_s = resting
@@ -66,8 +66,8 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray, times: Float
             yield f"the motion ends before fruit {fruit.name!r} comes to rest at {rests_s:.6g} s"
             return
         row, away = instant_at(robot, rows[first:], fruit.center)
-        row, what = row + first, f"fruit {fruit.name!r}"
-    if not away <= THERE:
+        row, what, within = row + first, f"fruit {fruit.name!r}", arrival_distance(fruit)
+    if not away <= within:
         when = "ends with the tool" if resting is None else "brings the tool no closer than"
         yield f"the motion {when} {1e3 * away:.4g} mm from the goal, {what}"
     else:

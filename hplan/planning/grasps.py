@@ -3,7 +3,8 @@
 Each configuration with the tool at the point (`hplan.planning.specialist.GoalSampler`) gets a straight approach along
 the tool axis (`Robot.tool_axis`). The approach starts at a stand-off of the requested distance, or of a shorter one if
 that is infeasible. Only the last link may touch the target fruit, and only during the approach; if no straight approach
-is collision-free, it may touch the fruit during the whole motion.
+is collision-free, it may touch the fruit during the whole motion. If obstacles block all configurations at the centre
+of a fruit, others within its `grasp_offset` are tried: a hand need not go deep between the fruit and its branch.
 
 If the position of a fruit is uncertain, approaches differ in the probability that it is within the gripper's capture
 range: its center is off by at most one length along the tool axis at the grasp and by at most another length across it.
@@ -13,6 +14,7 @@ distributed draws, the same for all approaches; it is accurate to about 0.2 %. E
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -48,13 +50,16 @@ from hplan.scene.model import Scene
 _DRAWS, SAME = 4096, 0.005
 
 
-def capture_probabilities(approaches: FloatArray, covariance: FloatArray, capture_m: tuple[float, float]) -> FloatArray:
+def capture_probabilities(
+    approaches: FloatArray, covariance: FloatArray, capture_m: tuple[float, float], offsets: FloatArray | None = None
+) -> FloatArray:
     """(k,) probabilities that a fruit is within capture range.
 
     Args:
         approaches: (k, 3) directions of the tool, of any length.
         covariance: (3, 3) covariance of the fruit's position [m^2].
         capture_m: Maximum offset of its center across the approach, and along it [m].
+        offsets: (k, 3) offsets of the tool from its expected center [m]; None for none.
     """
     from scipy.special import ndtri
 
@@ -64,8 +69,10 @@ def capture_probabilities(approaches: FloatArray, covariance: FloatArray, captur
     values, vectors = np.linalg.eigh(covariance)
     errors = (ndtri(even) * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     ahead = approaches / np.linalg.norm(approaches, axis=1, keepdims=True)
-    along = errors @ ahead.T
-    across = np.maximum((errors**2).sum(axis=1)[:, None] - along**2, 0.0)
+    offsets = np.zeros(ahead.shape) if offsets is None else offsets
+    along = errors @ ahead.T - (offsets * ahead).sum(axis=1)
+    squared = (errors**2).sum(axis=1)[:, None] - 2.0 * errors @ offsets.T + (offsets**2).sum(axis=1)
+    across = np.maximum(squared - along**2, 0.0)
     within: FloatArray = ((np.abs(along) <= capture_m[1]) & (across <= capture_m[0] ** 2)).mean(axis=0)
     return within
 
@@ -81,6 +88,16 @@ _BEYOND = -1.0
 
 #: Clearance of a grasp and its stand-off beyond the required clearance; half of it along the whole approach [m].
 SPARE = 1e-3
+
+#: Offsets from the centre that are tried in turn, as fractions of `Fruit.grasp_offset`; their (26, 3) directions; and
+#: the approximate number of configurations at each of these points.
+_OFFSETS = (0.5, 1.0)
+_OFFSET_DIRECTIONS = np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+_OFFSET_DIRECTIONS /= np.linalg.norm(_OFFSET_DIRECTIONS, axis=1, keepdims=True)
+_OFFSET_COUNT = 16
+
+#: Rounding error of a direction that points along an approach.
+_NOT_DEEPER = 1e-9
 
 #: Points of an approach that are checked, as fractions of its length: whole steps of `hplan.kinematics.straight_line`.
 _CHECKED_FRACTIONS = (0.25, 0.5, 0.75, 1.0)
@@ -323,7 +340,8 @@ def _sort_grasps(
     shares = None
     if target.capture_m is not None and target.covariance is not None:
         ahead = robot.forward_kinematics(goals)[:, :3, :3] @ robot.tool_axis
-        shares = capture_probabilities(ahead, target.covariance, target.capture_m)
+        offsets = robot.tool_positions(goals) - np.asarray(target.position)
+        shares = capture_probabilities(ahead, target.covariance, target.capture_m, offsets)
     return tuple(
         Grasp(
             frozen(goals[i].copy()), chosen[numbers[i]][1], float(distances[i]), float(found.approach[numbers[i]]),
@@ -353,7 +371,7 @@ def _clear_candidates(
 ) -> tuple[Candidates, float] | Blocked:
     """Collision-free configurations with the tool at the point.
 
-    Evenly spaced approach angles are tried first, finer ones if all of those collide.
+    Evenly spaced approach angles are tried first, finer ones if all of those collide, and then points off the centre.
 
     Returns:
         The configurations and their member of `ROOMS`; a `Blocked` if none is collision-free.
@@ -363,19 +381,33 @@ def _clear_candidates(
     """
     robot, sampler = target.world.robot, goal_sampler_of(target.world.robot)
 
+    def at_point(point: ArrayLike, count: int) -> Candidates:
+        angle = target.approach_deg
+        return sampler.at_point(robot, point, approach_deg=angle, count=count, start=start, locked=tuple(locked))
+
     def evenly_spaced(count: int) -> tuple[Candidates, FloatArray]:
+        if target.pose is None:
+            return measure(at_point(target.position, count))
+        at_pose = inverse_kinematics(
+            robot, target.pose, start=start, frame=target.frame, locked=locked,
+            rotation_tolerance_rad=target.rotation_tolerance,
+        )  # fmt: skip
+        return measure(Candidates(at_pose, approach_angles(robot, at_pose, target.pose[:3, 3])))
+
+    def off_center(length: float) -> tuple[Candidates, FloatArray]:
+        """Candidates at a distance from the centre, none of them deeper in the fruit than it, as `evenly_spaced`."""
+        rows, angles = [np.zeros((0, robot.dof))], [np.zeros(0)]
+        for direction in _OFFSET_DIRECTIONS:
+            with suppress(UnreachableError):
+                found = at_point(np.asarray(target.position) + length * direction, _OFFSET_COUNT)
+                ahead = robot.forward_kinematics(found.configurations)[:, :3, :3] @ robot.tool_axis
+                kept = ahead @ direction <= _NOT_DEEPER
+                rows.append(found.configurations[kept])
+                angles.append(found.approach[kept])
+        return measure(Candidates(frozen(np.concatenate(rows)), frozen(np.concatenate(angles))))
+
+    def measure(found: Candidates) -> tuple[Candidates, FloatArray]:
         """Candidates, and the (k,) minimum clearance of each over all links [m]."""
-        if target.pose is not None:
-            at_pose = inverse_kinematics(
-                robot, target.pose, start=start, frame=target.frame, locked=locked,
-                rotation_tolerance_rad=target.rotation_tolerance,
-            )  # fmt: skip
-            found = Candidates(at_pose, approach_angles(robot, at_pose, target.pose[:3, 3]))
-        else:
-            angle = target.approach_deg
-            found = sampler.at_point(
-                robot, target.position, approach_deg=angle, count=count, start=start, locked=tuple(locked)
-            )
         rooms: FloatArray = target.world_touching.field.spare_clearances(found.configurations)
         rooms[~ranges.hold(found.configurations)] = _BEYOND
         return found, rooms
@@ -387,12 +419,16 @@ def _clear_candidates(
     if measured[0][1].max() <= SPARE and target.pose is None:
         with suppress(UnreachableError):
             measured.append(evenly_spaced(sampler.more))
+    for length in _OFFSETS * np.array(0.0 if target.fruit is None else target.fruit.grasp_offset):
+        best = max(float(rooms.max(initial=_BEYOND)) for _, rooms in measured)
+        if -length < best <= ROOMS[-1]:  # the hand comes free by at most its offset
+            measured.append(off_center(length))
     for room in ROOMS:
         for found, rooms in measured:
             clear = rooms > room
             if clear.any():
                 return Candidates(found.configurations[clear], found.approach[clear]), room
-    found, rooms = max(measured, key=lambda of: float(of[1].max()))
+    found, rooms = max(measured, key=lambda of: float(of[1].max(initial=-math.inf)))
     nearest = frozen(found.configurations[ties.argmax(rooms)])
     refined = sum(len(rooms) for _, rooms in measured[1:])
     return Blocked(target, ranges, configurations, nearest, float(rooms.max()), refined)

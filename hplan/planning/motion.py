@@ -19,7 +19,8 @@ from hplan.certificate.limb_loads import gentle_speeds
 from hplan.certificate.limit_use import LimitUse
 from hplan.collision.compiled_field import ClearanceField
 from hplan.errors import CertificationError, TimingError
-from hplan.optimization.minimize_time import OptimizerEffort, minimize_time
+from hplan.optimization.coarse_profile import coarse_profile
+from hplan.optimization.minimize_time import LONGEST_MOTION_S, OptimizerEffort, minimize_time
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.several_starts import NEAR_PATH_M, fastest_motions, optimization_starts
 from hplan.optimization.smooth_path import clear_path, is_straight, near_field, short_path
@@ -58,8 +59,7 @@ class Motion(Record):
             parameter is time.
         origin: The source of the polyline.
         search: The grid search that found the polyline; None for none.
-        near: Clearances to what is near an optimized draft, for the optimizer of its blended motion; None for another
-            motion.
+        near: Clearances to what is near a draft, for the optimizer of its blended motion; None for another motion.
     """
 
     name: str
@@ -159,6 +159,8 @@ def quickest(problem: Problem, polylines: Sequence[Path], margin: float, *, quic
         CertificationError: No motion was found or certified; the error of the first polyline.
         TimingError: The first polyline's path cannot be timed.
     """
+    if problem.is_draft:
+        return _draft(problem, polylines, margin)
     effort = problem.optimization
     optimized = None if effort is None else _optimize(problem, polylines, margin, effort, quicker_than_s)
     if optimized is not None:
@@ -172,6 +174,39 @@ def quickest(problem: Problem, polylines: Sequence[Path], margin: float, *, quic
         else:
             return found
     raise failures[0] if failures else CertificationError("no motion is faster than the known one")
+
+
+def _draft(problem: Problem, polylines: Sequence[Path], margin: float) -> Motion:
+    """A motion near one of some polylines that is about the fastest along its path, not certified.
+
+    The optimizer of the blended motion moves its path, and times it within the limits.
+
+    Raises:
+        CertificationError: No smooth path is verified collision-free.
+        TimingError: The motion takes too long.
+    """
+    robot, field, limits = problem.robot, problem.field, motion_limits(problem)
+    processing = replace(smoothing_options(problem, margin), velocity=limits.velocity, acceleration=limits.acceleration)
+    near: ClearanceField | None = None
+    with stage("postprocess"):
+        paths = [polyline.waypoints for polyline in polylines]
+        program = TimeProblem(field, field, processing, limits, robot.dynamics, problem.options.rate_hz)
+        starts = [] if is_straight(paths[0], field, processing) else optimization_starts(paths, program)
+        if starts:
+            number, profile, near = starts[0].number, starts[0].profile, starts[0].problem.near
+        else:
+            number, profile = 0, coarse_profile(clear_path(paths[0], field, processing), processing)
+    if not profile.duration < LONGEST_MOTION_S:
+        raise TimingError(f"the motion takes {profile.duration:.4g} s", cause="duration")
+    clock = np.linspace(0.0, profile.duration, max(2, math.ceil(_DRAFT_HZ * profile.duration)) + 1)
+    position = profile.positions(clock)
+    velocity, still = np.gradient(position, clock, axis=0), np.zeros_like(position)
+    velocity[[0, -1]] = 0.0
+    trajectory = Trajectory(robot.joint_names, clock, position, velocity, still, still, robot.slides)
+    polyline = polylines[number]
+    return Motion(
+        "transit", trajectory, _NONE, problem, polyline.waypoints, None, polyline.origin, polyline.search, near
+    )
 
 
 def motion_along(problem: Problem, polyline: Path, margin: float) -> Motion:
@@ -208,7 +243,7 @@ def improve(motion: Motion) -> Iterator[Motion]:
         spline = minimize_time(start, program, effort)
     if spline is not None and spline.duration < start.duration:
         quicker, certificate = certify_gently(problem, spline.trajectory(program.dynamics, program.rate_hz))
-        if _is_usable(problem, certificate) and quicker.duration < start.duration:
+        if certificate.verified and quicker.duration < start.duration:
             yield replace(motion, trajectory=quicker, certificate=certificate, path=spline.path)
 
 
@@ -286,7 +321,7 @@ def _optimize(
     if sway is None and is_straight(paths[0], problem.field, processing):
         return None
     # With a velocity-dependent tracking error, retry with larger clearance margins until a motion is certified.
-    for room in [None] if sway is None or problem.is_draft else [times * sway for times in (1.0, 1.6, 2.5)]:
+    for room in [None] if sway is None else [times * sway for times in (1.0, 1.6, 2.5)]:
         with stage("postprocess"):
             program = TimeProblem(problem.field, problem.field, processing, limits, dynamics, rate_hz, sway=room)
             starts = optimization_starts(paths, program)
@@ -294,10 +329,8 @@ def _optimize(
             motions = fastest_motions(starts, effort, quicker_than_s=quicker_than_s)
         for number, motion in motions:
             trajectory, certificate = certify_gently(problem, motion.trajectory(dynamics, rate_hz))
-            if _is_usable(problem, certificate):
-                found = _transit(problem, polylines[number], motion.path, trajectory, certificate)
-                near = next(start.problem.near for start in starts if start.number == number)
-                return replace(found, near=near) if problem.is_draft else found
+            if certificate.verified:
+                return _transit(problem, polylines[number], motion.path, trajectory, certificate)
     return None
 
 
@@ -332,7 +365,7 @@ def certified_trajectory(
         # A slower motion may follow, so nothing is said of this one.
         measured = speed == tried[-1]
         trajectory, certificate = certify_gently(problem, trajectory, among, measured=measured)
-        if _is_usable(problem, certificate):
+        if certificate.verified:
             break
     return trajectory, require_certificate(problem, certificate)
 
@@ -357,8 +390,6 @@ def time_along(
         TimingError: No timing satisfies the limits.
     """
     limits, rate_hz = motion_limits(problem) if limits is None else limits, problem.options.rate_hz
-    if problem.is_draft:
-        rate_hz = min(rate_hz, _DRAFT_HZ)
     with stage("timing"):
         return time_path(path, problem.robot.dynamics, limits, rate_hz=rate_hz, grid=grid)
 
@@ -377,8 +408,6 @@ def certify_gently(
             problem.
         measured: Whether the minimum distance is searched if the clearance is not proved.
     """
-    if problem.is_draft:
-        return trajectory, _NONE
     quick = trajectory
     certificate = certificate_of(problem, quick, None if among is None else among(quick), measured=measured)
     for ease_s in _EASE_S:
@@ -433,18 +462,13 @@ def certificate_of(
         )
 
 
-def _is_usable(problem: Problem, certificate: Certificate) -> bool:
-    """True if a motion is certified, or is a draft, which needs no certificate."""
-    return problem.is_draft or certificate.verified
-
-
 def require_certificate(problem: Problem, certificate: Certificate) -> Certificate:
     """The given certificate, if it is verified or need not be.
 
     Raises:
         CertificationError: The options require a certificate, and it is not verified.
     """
-    if problem.options.certify and not _is_usable(problem, certificate):
+    if problem.options.certify and not certificate.verified:
         nearest = None if certificate.nearest is None else certificate.nearest.obstacle
         named = nearest is not None and any(nearest in words for words in certificate.violations)
         raise CertificationError(

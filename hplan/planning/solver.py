@@ -159,7 +159,7 @@ def _motions_near(problem: Problem, group: Sequence[Path], finder: PathFinder) -
     margin = one.margin if group[0].margin is None else group[0].margin
     finder.error = None
     try:
-        if problem.effort.at_once:
+        if problem.effort.at_once and not problem.is_draft:
             found = improve(motion_along(one, group[0], margin))
         else:
             found = iter((quickest(one, group, margin, quicker_than_s=finder.best_s),))

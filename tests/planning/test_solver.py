@@ -127,7 +127,7 @@ def test_draft_hands_on_what_is_near_it_and_its_blended_motion_does_not(robot, s
     certified, draft = (best_of(plans_from_rest(replace(problem, is_draft=each))).transit for each in (False, True))
     assert certified.near is None
     assert draft.near is not None
-    middle, bodies = draft.path.evaluate(0.5 * draft.path.end), len(problem.field.arm.bodies)
+    middle, bodies = draft.trajectory.position[draft.trajectory.samples // 2], len(problem.field.arm.bodies)
     distances = [field.link_clearances(middle)[:bodies] for field in (problem.field, draft.near)]
     np.testing.assert_array_equal(*distances)
     start = Start(joints_rad=around.start.configuration, velocity_rad_s=(0.2, 0.0, 0.0, 0.0))

@@ -75,6 +75,8 @@ class Level:
         gain: The level ends after the first step that shortens the motion by less than this fraction, scaled by the
             fraction of the step that was collision-free.
         trust: Maximum change of a control point in a joint in the first step [rad].
+        is_brief: True to solve few programs: a step as a whole that changes the duration by less than `gain` ends the
+            level even if it is the first, and pieces that meet at samples are as many as before.
         enough: The level ends when the duration is within this fraction of the lower bound for pieces of this length
             (`TimeProblem.least_duration`); 0 to ignore the lower bound.
     """
@@ -85,6 +87,7 @@ class Level:
     gain: float
     trust: float
     enough: float = 0.0
+    is_brief: bool = False
 
     def pieces_of(self, duration_s: float, rate_hz: float) -> int:
         """Number of pieces; at most half the number of samples."""
@@ -255,6 +258,8 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
         trust = trust * _SHRINK if step is None or step.part < 1.0 else min(trust / _SHRINK, level.trust)
         stalled += step is None or step.part <= _STALLED
         if step is not None:
+            if level.is_brief and step.part == 1.0 and abs(step.time_scale - 1.0) < level.gain:
+                return step.spline  # the limits are restored as pieces meet at samples
             time_scale = problem.time_scale(step.spline)
             if spline.ends is not None and time_scale > _REPAIRED:
                 spline = step.spline
@@ -315,7 +320,7 @@ def _initial_spline(start: TimedMotion, problem: TimeProblem, breaks: FloatArray
 
 def _on_rows(spline: TimedSpline, problem: TimeProblem, level: Level) -> TimedSpline | None:
     """Optimize a motion whose pieces meet at samples; None if not found."""
-    pieces = level.pieces_of(spline.duration, problem.rate_hz)
+    pieces = len(spline.control) - 3 if level.is_brief else level.pieces_of(spline.duration, problem.rate_hz)
     if pieces < 2 * RESTING:
         return None
     rows, trust = math.ceil(spline.duration * problem.rate_hz - 1e-6), _SMALL_TRUST

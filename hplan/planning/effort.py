@@ -66,7 +66,7 @@ COARSE = Level(piece_s=0.08, pieces=(20, 40), steps=20, gain=2e-3, trust=0.2)
 LAST = Level(piece_s=0.03, pieces=(50, 120), steps=6, gain=5e-3, trust=0.05)
 FINE = OptimizerEffort((Level(piece_s=0.03, pieces=(50, 120), steps=12, gain=0.02, trust=0.2),))
 FINEST = OptimizerEffort((Level(piece_s=0.012, pieces=(60, 300), steps=20, gain=1e-4, trust=0.2),))
-QUICK_START = OptimizerEffort((Level(piece_s=0.05, pieces=(24, 60), steps=8, gain=0.1, trust=0.2),))
+QUICK_START = OptimizerEffort((Level(piece_s=0.05, pieces=(24, 60), steps=8, gain=0.06, trust=0.8, is_brief=True),))
 
 #: A first motion is improved with few segments and long steps.
 _FIRST_SOLUTION = OptimizerEffort((replace(COARSE, steps=8, gain=0.02, trust=1.0, enough=0.02),))

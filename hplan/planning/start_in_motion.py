@@ -25,8 +25,10 @@ from hplan.optimization.timed_spline import RESTING, BoundaryState, TimedSpline,
 from hplan.planning.motion import Plan, Solver, best_of, certificate_of, motion_limits, time_problem
 from hplan.planning.problem import Problem
 from hplan.planning.stages import stage
+from hplan.robot.limits import Limits, least_duration_between
 from hplan.robot.model import Robot
 from hplan.trajectory.braking import braking
+from hplan.trajectory.cubics import Rows
 from hplan.trajectory.trajectory import Trajectory, join_trajectories
 
 #: Computes a motion to rest when it is needed.
@@ -137,6 +139,8 @@ def _blend_start(plan: Plan, state: BoundaryState) -> Plan | None:
             if pieces < 2 * RESTING:
                 return None
             start = TimedSpline.approximate(transit.positions, even_breaks(transit.duration, pieces), ends)
+        else:
+            start = _slow_down(transit, state, program.limits)
         spline = minimize_time(start, program, effort)
     if spline is None:
         return None
@@ -148,6 +152,21 @@ def _blend_start(plan: Plan, state: BoundaryState) -> Plan | None:
         plan.transit, trajectory=trajectory, certificate=certificate, problem=problem, path=spline.path, near=None
     )
     return replace(plan, transit=blended)
+
+
+def _slow_down(motion: Trajectory, state: BoundaryState, limits: Limits) -> Trajectory:
+    """The motion, slowed down to the minimum duration between a state and its end.
+
+    In less time a program has no solution, or one far from its start. Torques are not scaled.
+    """
+    turn = motion.position[-1] - state.position
+    speeds = state.velocity, motion.velocity[-1]
+    least_s = float(least_duration_between(turn, speeds, limits.velocity, limits.acceleration).max())
+    slower = least_s / motion.duration
+    if slower <= 1.0:
+        return motion
+    time, position, velocity, acceleration, torque = motion.rows
+    return motion.copy_unchecked(Rows(slower * time, position, velocity / slower, acceleration / slower**2, torque))
 
 
 def _with_constant_sway(program: TimeProblem, motion: Trajectory) -> TimeProblem:

@@ -73,6 +73,42 @@ def rest_to_rest(
     return np.where(distance > 0.0, durations, 0.0)
 
 
+def least_duration_between(
+    turn: FloatArray, speeds: tuple[FloatArray, FloatArray], velocity: FloatArray, acceleration: FloatArray
+) -> FloatArray:
+    """Minimum durations of independent motions between states in motion, without jerk limits.
+
+    A joint accelerates as much as it can, towards a peak speed or its limit, and brakes as much as it can.
+
+    Args:
+        turn: (dof,) signed distances.
+        speeds: (dof,) signed speeds at the start and at the end, each.
+        velocity: (dof,) maximum speeds.
+        acceleration: (dof,) maximum accelerations.
+
+    Returns:
+        (dof,) durations [s].
+
+    Examples:
+        >>> still = np.zeros(2)
+        >>> least_duration_between(np.array([1.0, 4.0]), (still, still), np.ones(2), np.ones(2)).tolist()
+        [2.0, 5.0]
+        >>> least_duration_between(still, (np.ones(2), still), np.ones(2), np.ones(2)).round(6).tolist()
+        [2.414214, 2.414214]
+    """
+    first, last = speeds
+    # With one acceleration from the first speed to the last; beyond that distance, towards positive peaks.
+    direct = 0.5 * (first + last) * np.abs(last - first) / acceleration
+    sign = np.where(turn < direct, -1.0, 1.0)
+    first, last, turn = sign * first, sign * last, sign * turn
+    squares = 0.5 * (first**2 + last**2)
+    peak = np.sqrt(np.maximum(acceleration * turn + squares, 0.0))
+    reached = np.minimum(peak, np.maximum(velocity, np.maximum(np.abs(first), np.abs(last))))
+    cruise = (peak**2 - reached**2) / acceleration
+    cruise_s: FloatArray = cruise / np.where(cruise > 0.0, reached, 1.0)
+    return (2.0 * reached - first - last) / acceleration + cruise_s
+
+
 def least_duration(start: FloatArray, goal: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> float:
     """Lower bound on the rest-to-rest duration between two configurations [s].
 

@@ -5,6 +5,8 @@ They are compared with differences.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -177,7 +179,7 @@ START, TURN = np.array([0.1, 0.6, 0.7, 0.5]), np.array([0.0, 0.5, 0.4, -0.2])
 EFFORT = OptimizerEffort((Level(piece_s=0.03, pieces=(30, 60), steps=12, gain=1e-3, trust=0.2),))
 
 
-def fastest(robot, ends, limits=None):
+def fastest(robot, ends, limits=None, effort=None):
     far = ClearanceField.build(robot, [Sphere(name="far", center=(9.0, 9.0, 9.0), radius=0.1).solids[0]])
     limits = limits or Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
     options = PostprocessOptions(
@@ -185,7 +187,7 @@ def fastest(robot, ends, limits=None):
         movable=np.arange(1, 4), margin=2e-3,
     )  # fmt: skip
     problem = TimeProblem(far, far, options, limits, robot.dynamics, 250.0, ends)
-    return minimize_time(swing(1.5), problem, EFFORT)
+    return minimize_time(swing(1.5), problem, effort or EFFORT)
 
 
 def assert_kept(robot, motion, ends):
@@ -227,3 +229,19 @@ def test_state_beyond_the_limits_has_no_motion(robot):
     rest = BoundaryState.at_rest(START)
     fast = BoundaryState(START + TURN, 4.0 * TURN, 0.0 * TURN)
     assert fastest(robot, (rest, fast)) is None
+
+
+def test_brief_level_solves_few_programs_and_keeps_the_limits(robot, monkeypatch):
+    rest = BoundaryState.at_rest(START), BoundaryState.at_rest(START + TURN)
+    fast = BoundaryState(START, 0.8 * TURN, 2.0 * TURN)
+    counts, durations = [], []
+    solve = TimeProblem.step
+    monkeypatch.setattr(TimeProblem, "step", lambda *given, **more: counts.append(1) or solve(*given, **more))
+    for is_brief in (False, True):
+        counts.clear()
+        effort = OptimizerEffort((replace(EFFORT.levels[-1], gain=0.06, is_brief=is_brief),))
+        rows = assert_kept(robot, fastest(robot, (fast, rest[1]), effort=effort), (fast, rest[1]))
+        durations.append((rows.duration, len(counts)))
+    (whole_s, programs), (brief_s, fewer) = durations
+    assert fewer < programs
+    assert brief_s <= 1.02 * whole_s

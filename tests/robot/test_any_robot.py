@@ -23,7 +23,7 @@ from hplan.errors import InputError, RobotFamilyError, RobotFileError, RobotFile
 from hplan.planar.family_reader import family_of, is_planar
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.files import NAMED_ROBOTS, named_robot, read_srdf
-from hplan.robot.limits import rest_to_rest
+from hplan.robot.limits import least_duration_between, rest_to_rest
 from hplan.robot.model import load_robot
 from hplan.scene.model import Goal, Scene, Start
 
@@ -273,6 +273,26 @@ def plain(distance: float, velocity: float, acceleration: float, jerk: float) ->
 def test_duration_with_jerk(distance: float, velocity: float, acceleration: float, jerk: float) -> None:
     found = rest_to_rest(np.array([distance]), velocity, acceleration, jerk)
     assert found[0] == pytest.approx(plain(distance, velocity, acceleration, jerk), rel=1e-9)
+
+
+@given(turn=st.floats(-3.0, 3.0), first=st.floats(-1.0, 1.0), last=st.floats(-1.0, 1.0), velocity=st.floats(0.3, 3.0))
+def test_duration_between_speeds_suffices_and_less_does_not(
+    turn: float, first: float, last: float, velocity: float
+) -> None:
+    """The speeds are between those of the two motions that accelerate at once and brake as late as possible."""
+    speeds, push = velocity * np.array([first, last]), 1.7
+    found_s = float(least_duration_between(np.array([turn]), (speeds[:1], speeds[1:]), velocity, push)[0])
+
+    def largest_excess(duration_s: float) -> float:
+        clock = np.linspace(0.0, duration_s, 4001)
+        ramps = push * np.stack([clock, duration_s - clock])
+        highest = np.minimum((speeds[:, None] + ramps).min(axis=0), velocity)
+        lowest = np.maximum((speeds[:, None] - ramps).max(axis=0), -velocity)
+        too_fast = abs(speeds[1] - speeds[0]) - push * duration_s
+        return float(max(turn - np.trapezoid(highest, clock), np.trapezoid(lowest, clock) - turn, too_fast))
+
+    assert largest_excess(found_s) <= 1e-5
+    assert found_s < 1e-3 or largest_excess(0.999 * found_s - 1e-3) > 0.0
 
 
 @given(distance=st.floats(1e-3, 100.0), velocity=LIMIT, acceleration=LIMIT)

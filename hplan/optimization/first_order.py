@@ -19,21 +19,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray, IntArray
+from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, inline, kernel
 from hplan.collision.compiled_clearance import guessed_slopes
 from hplan.collision.compiled_obstacles import FieldArrays
 from hplan.optimization.interior_point import ProgramRows
 
-#: Number of clearance constraints in each piece, at sample points.
-PLACES = any_int(3)
+#: Maximum number of sample points for clearances in each piece, and displacement of the arm between them up to which
+#: fewer suffice [m]; and their number in a piece that a step leads into contact.
+PLACES, APART, CUT_PLACES = any_int(3), 0.05, any_int(8)
 
 #: Bodies with more clearance than `NEAR` are left out of a program; its clearance rows are scaled by 1 / `SCALE` [m].
 NEAR, SCALE = 0.06, 0.15
 
 #: From one sample point to the next, the clearance of a body seldom grows by more [m].
 FARTHER_M = 0.01
+
+#: If the clearance is below the margin, a step must increase it by this amount where all control points are free [m].
+_REGAINED = 5e-4
+
+#: Rows that keep a step clear are those that could become active within this trust region about it [rad].
+_CUT_TRUST = 0.05
 
 #: Number of kinematic rows of a joint that depend on the end states: one, two and three at each end.
 DRIFTING = any_int(12)
@@ -144,7 +151,7 @@ def first_order(
             the changes of the other control points in the movable joints, one control point after the other.
         limits: Limits of the motion.
         field: Obstacles and bodies.
-        margin: Required clearance at `PLACES` sample points of each piece, or slightly more than the present clearance
+        margin: Required clearance at the sample points of each piece, or slightly more than the present clearance
             if that is less [m].
         trust: Maximum change of a control point in a joint [rad].
     """
@@ -155,11 +162,8 @@ def first_order(
         for j in range(control.shape[1]):
             if drift[k, j] != 0.0:
                 matters = margin, math.inf
-    near = _evaluate_places(control, knots, limits, field, matters)
-    links_near = 0
-    for place in range(near.clear.shape[0]):
-        for link in range(near.clear.shape[1]):
-            links_near += near.clear[place, link] < NEAR
+    near = _evaluate_places(control, knots, sample_places(control, knots, field), limits, field, matters)
+    links_near = _count_near(near)
     kinematic, free = joints * (3 * n - 6), joints * (n - 6)
     split = 2 * joints * DRIFTING
     most = kinematic + free + links_near + split
@@ -171,11 +175,51 @@ def first_order(
     both = _add_kinematics(rows, motion, limits)
     both = _add_bounds(rows, both, control, limits, trust)
     row = _add_drifting(rows, both, motion, limits)
-    row = _add_clearances(rows, row, (near, drift, control), limits, field, margin)
+    row = _add_clearances(rows, row, (near, drift, control), limits, field, (margin, _REGAINED))
     used = rows.starts[row]
     return ProgramRows(
         rows.starts[: row + 1], rows.columns[:used], rows.entries[:used],
         rows.time_scale[:row], rows.upper[:row], rows.lower[:both],
+    )  # fmt: skip
+
+
+@kernel
+def clearance_cuts(
+    motion: MotionArrays,
+    change: FloatArray,
+    blocked: BoolArray,
+    limits: MotionLimits,
+    field: FieldArrays,
+    margin: float,
+) -> ProgramRows:
+    """Clearance rows of a motion in contact, for the program of the step that led there.
+
+    They are linear about the motion after the step, at closer sample points than the program's own.
+
+    Args:
+        motion: The motion after the step, from rest to rest.
+        change: (unknowns,) the step.
+        blocked: (pieces,) mask of the pieces that are in contact.
+        limits: Limits of the motion.
+        field: Obstacles and bodies.
+        margin: Required clearance [m].
+    """
+    control, knots, drift = motion
+    joints = len(limits.movable)
+    near = _evaluate_places(control, knots, _cut_places(blocked), limits, field, (margin, _CUT_TRUST))
+    most = _count_near(near)
+    rows = ProgramRows(
+        np.zeros(most + 1, dtype=np.int32), np.empty(4 * joints * most, dtype=np.int32), np.empty(4 * joints * most),
+        np.zeros(most), np.empty(most), np.empty(0),
+    )  # fmt: skip
+    count = _add_clearances(rows, 0, (near, drift, control), limits, field, (margin, math.inf))
+    used = rows.starts[count]
+    for row in range(count):
+        for entry in range(rows.starts[row], rows.starts[row + 1]):
+            rows.upper[row] += rows.entries[entry] * change[rows.columns[entry]]
+    return ProgramRows(
+        rows.starts[: count + 1], rows.columns[:used], rows.entries[:used],
+        rows.time_scale[:count], rows.upper[:count], rows.lower,
     )  # fmt: skip
 
 
@@ -272,10 +316,53 @@ def _add_bounds(rows: ProgramRows, row: int, control: FloatArray, limits: Motion
     return row
 
 
+@kernel
+def sample_places(control: FloatArray, knots: FloatArray, field: FieldArrays) -> FloatArray:
+    """(places, 2) piece and fraction of it, for sample points between which the arm moves by at most `APART`.
+
+    One to `PLACES` in each piece.
+    """
+    n, dof = control.shape
+    places, count = np.empty(((n - 3) * PLACES, 2)), 0
+    reach, weight, here, there = np.zeros(dof), np.empty(4), np.zeros(dof), np.zeros(dof)
+    for b in range(len(field.bodies)):
+        for j in range(dof):
+            reach[j] = max(reach[j], field.reaches[b, j])
+    for piece in range(n - 3):
+        moved = 0.0
+        for end in range(2):
+            basis(knots, piece, 1.0 * end, weight)
+            for j in range(dof):
+                q = 0.0
+                for c in range(4):
+                    q += weight[c] * control[piece + c, j]
+                here[j], there[j] = there[j], q
+        for j in range(dof):
+            moved += reach[j] * abs(there[j] - here[j])
+        share = min(PLACES, max(1, math.ceil(moved / APART)))
+        for place in range(share):
+            places[count, 0], places[count, 1] = piece, place / share
+            count += 1
+    return places[:count]
+
+
+@kernel
+def _cut_places(blocked: BoolArray) -> FloatArray:
+    """(places, 2) piece and fraction of it, for `CUT_PLACES` sample points of each blocked piece."""
+    places, count = np.empty((np.count_nonzero(blocked) * CUT_PLACES, 2)), 0
+    for piece in range(len(blocked)):
+        if blocked[piece]:
+            for place in range(CUT_PLACES):
+                places[count, 0], places[count, 1] = piece, (place + 0.5) / CUT_PLACES
+                count += 1
+    return places
+
+
 class _Places(NamedTuple):
     """Sample points of a motion.
 
     Attributes:
+        piece: (places,) number of the piece.
         configuration: (places, dof) configurations.
         weight: (places, 4) weights of the control points; the first control point has the index of the piece.
         speed: (places, 4) weights of the control points in the velocity [1/s].
@@ -284,6 +371,7 @@ class _Places(NamedTuple):
         gradient: (places, links, joints) derivatives of the clearances with respect to the movable joints [m/rad].
     """
 
+    piece: IntArray
     configuration: FloatArray
     weight: FloatArray
     speed: FloatArray
@@ -293,9 +381,14 @@ class _Places(NamedTuple):
 
 @kernel
 def _evaluate_places(
-    control: FloatArray, knots: FloatArray, limits: MotionLimits, field: FieldArrays, matters: tuple[float, float]
+    control: FloatArray,
+    knots: FloatArray,
+    places: FloatArray,
+    limits: MotionLimits,
+    field: FieldArrays,
+    matters: tuple[float, float],
 ) -> _Places:
-    """Evaluate `PLACES` sample points of each piece.
+    """Evaluate sample points.
 
     A link whose clearance cannot fall below the margin within the trust region, to first order, counts as far: its row
     would never be active.
@@ -303,17 +396,18 @@ def _evaluate_places(
     Args:
         control: (n, dof) control points.
         knots: (n + 4,) knots.
+        places: (places, 2) piece of each sample point, and fraction of it.
         matters: The margin [m] and the trust [rad].
     """
     (margin, trust), movable = matters, limits.movable
-    n, dof = control.shape
-    count, bodies = (n - 3) * PLACES, len(field.bodies) + len(field.pairs)
+    count, dof, bodies = len(places), control.shape[1], len(field.bodies) + len(field.pairs)
+    pieces = places[:, 0].astype(np.int64)
     q, weight, clear = np.zeros((count, dof)), np.empty((count, 4)), np.full((count, bodies), np.inf)
     speed, velocity = np.zeros((count, 4)), np.zeros(dof)
     gradient, guesses = np.empty((count, bodies, len(movable))), np.full(bodies, FARTHER_M)
     for place in range(count):
-        piece = place // PLACES
-        basis(knots, piece, (place % PLACES) / PLACES, weight[place])
+        piece, t = pieces[place], places[place, 1]
+        basis(knots, piece, t, weight[place])
         for j in range(dof):
             for c in range(4):
                 q[place, j] += weight[place, c] * control[piece + c, j]
@@ -323,7 +417,7 @@ def _evaluate_places(
         for link in range(bodies):
             guesses[link] = max(clear[place, link], 0.0) + FARTHER_M
         if limits.sway.shape[0] > 0:
-            _velocity_weights(knots, piece, (place % PLACES) / PLACES, speed[place])
+            _velocity_weights(knots, piece, t, speed[place])
             for j in range(dof):
                 velocity[j] = 0.0
                 for c in range(4):
@@ -337,7 +431,17 @@ def _evaluate_places(
                 change += abs(gradient[place, link, m])
             if clear[place, link] >= NEAR or clear[place, link] - margin > trust * change:
                 clear[place, link] = math.inf
-    return _Places(q, weight, speed, clear, gradient)
+    return _Places(pieces, q, weight, speed, clear, gradient)
+
+
+@kernel
+def _count_near(near: _Places) -> int:
+    """Number of clearance rows of sample points."""
+    count = 0
+    for place in range(near.clear.shape[0]):
+        for link in range(near.clear.shape[1]):
+            count += near.clear[place, link] < NEAR
+    return count
 
 
 @kernel
@@ -366,7 +470,7 @@ def _add_clearances(
     places: tuple[_Places, FloatArray, FloatArray],
     limits: MotionLimits,
     field: FieldArrays,
-    margin: float,
+    required: tuple[float, float],
 ) -> int:
     """Add a clearance row for each near link; return the row count.
 
@@ -376,11 +480,12 @@ def _add_clearances(
         row: Number of rows already present.
         places: Sample points, (n, dof) derivatives of the control points with respect to the time scale, and (n, dof)
             control points.
-        margin: Required clearance [m].
+        required: Required clearance [m], and how much more of it than now a step has to reach where all control points
+            are free [m].
     """
-    (_, weight, speed, clear, slopes), drift, control = places
-    (count, links), sways = clear.shape, limits.sway.shape[0] > 0
-    joints, inner = len(limits.movable), count // PLACES - 3
+    (pieces, _, weight, speed, clear, slopes), drift, control = places
+    (count, links), sways, (margin, regained) = clear.shape, limits.sway.shape[0] > 0, required
+    joints, inner = len(limits.movable), len(control) - 6
     entry = rows.starts[row]
     velocity = np.zeros(joints)
     for place in range(count):
@@ -393,7 +498,7 @@ def _add_clearances(
             for m in range(joints):
                 velocity[m] = 0.0
                 for c in range(4):
-                    velocity[m] += speed[place, c] * control[place // PLACES + c, limits.movable[m]]
+                    velocity[m] += speed[place, c] * control[pieces[place] + c, limits.movable[m]]
         for link in range(links):
             distance = clear[place, link]
             if not distance < NEAR:
@@ -403,7 +508,7 @@ def _add_clearances(
                 for m in range(joints):
                     time_scale -= limits.sway[link, limits.movable[m]] * abs(velocity[m]) / SCALE
             for c in range(4):
-                k = place // PLACES + c - 3
+                k = pieces[place] + c - 3
                 for m in range(joints):
                     time_scale -= weight[place, c] * slopes[place, link, m] * drift[k + 3, limits.movable[m]] / SCALE
                 if 0 <= k < inner:
@@ -417,9 +522,10 @@ def _add_clearances(
                         entry += 1
             if entry > rows.starts[row]:
                 rows.time_scale[row] = time_scale
-                # If the clearance is below the margin, a step must increase it by this amount where all control points
-                # are free [m].
-                rows.upper[row] = (distance - min(margin, distance + free * 5e-4)) / SCALE + time_scale
+                least = margin
+                if regained < math.inf:
+                    least = min(margin, distance + free * regained)
+                rows.upper[row] = (distance - least) / SCALE + time_scale
                 row += 1
                 rows.starts[row] = entry
     return row

@@ -17,7 +17,7 @@ import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, frozen
-from hplan.optimization.constraint_rows import ALLOWED
+from hplan.optimization.constraint_rows import ALLOWED, with_rows
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import (
     RESTING,
@@ -29,9 +29,10 @@ from hplan.optimization.timed_spline import (
 from hplan.trajectory.cubics import accelerations, hermite_pieces
 from hplan.trajectory.retime import KEPT
 
-#: Accuracy of the time scale in the last step, and in other steps as a fraction of the gain below which a level ends. A
-#: coarser accuracy can select a longer path among motions of equal duration.
-_EXACT, _NEAR = 1e-6, 0.02
+#: Accuracy of the time scale in the last step; in other steps as a fraction of the gain below which a level ends, and
+#: of the gain of the step, whichever is larger. A coarser accuracy can select a longer path among motions of equal
+#: duration.
+_EXACT, _NEAR, _OF_STEP = 1e-6, 0.02, 0.005
 
 #: Initial trust region when pieces are moved to meet at samples [rad], and the factor that shrinks it after a step that
 #: is not collision-free as a whole.
@@ -43,8 +44,9 @@ _STALLED, _STALLS = 1.0 / 8.0, 2
 #: Maximum duration of an optimized motion; longer ones start from a path on which the arm has to stop [s].
 LONGEST_MOTION_S = 600.0
 
-#: Maximum number of times the number of samples is recomputed.
-_TRIES = 4
+#: Maximum number of times the number of samples is recomputed, and minimum fraction of them that one more time has to
+#: save.
+_TRIES, _WORTH_ROWS = 4, 2e-3
 
 #: A torque-limited motion is accepted with pieces that do not meet at samples if its duration is within this factor of
 #: the fastest.
@@ -254,7 +256,7 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
     if _is_blended(start, problem) and problem.time_scale(spline) > _FAR_FROM_LIMITS:
         trust = max(trust, _FAR_TRUST)
     for _ in range(level.steps):
-        step = _step(spline, problem, trust, _NEAR * level.gain)
+        step = _step(spline, problem, trust, (_NEAR * level.gain, _OF_STEP))
         trust = trust * _SHRINK if step is None or step.part < 1.0 else min(trust / _SHRINK, level.trust)
         stalled += step is None or step.part <= _STALLED
         if step is not None:
@@ -331,7 +333,7 @@ def _on_rows(spline: TimedSpline, problem: TimeProblem, level: Level) -> TimedSp
         breaks = breaks_at_rows(rows, pieces, problem.rate_hz)
         slower = spline.at_time_scale(breaks[-1] / spline.duration)
         near = TimedSpline.approximate(slower.positions, breaks, problem.ends)
-        step = _step(near, problem, trust, _EXACT, on_rows=True)
+        step = _step(near, problem, trust, (_EXACT, 0.0), on_rows=True)
         if step is None and problem.sway is not None and found is None:
             rows = math.ceil(rows * _REPAIRED)
             continue
@@ -350,7 +352,7 @@ def _on_rows(spline: TimedSpline, problem: TimeProblem, level: Level) -> TimedSp
             time_scale = max(step.time_scale, 1.0 + KEPT)
         # The next step includes the torques, so half of the required slow-down suffices.
         rows = math.ceil(rows * (math.sqrt(over) if over > 1.0 else time_scale) - 1e-6)
-        if rows >= most or rows <= failed or most <= enough_rows:
+        if rows > (1.0 - _WORTH_ROWS) * most or rows <= failed or most <= enough_rows:
             break
     return found
 
@@ -370,11 +372,14 @@ class _Step(NamedTuple):
 
 
 def _step(
-    spline: TimedSpline, problem: TimeProblem, trust: float, gap: float, *, on_rows: bool = False
+    spline: TimedSpline, problem: TimeProblem, trust: float, gap: tuple[float, float], *, on_rows: bool = False
 ) -> _Step | None:
     """Optimal step, or the largest collision-free fraction of it.
 
     None if the program has no solution or no tried fraction is collision-free.
+
+    A step may lead into contact between the sample points of the program, or because clearances are not linear. Then
+    rows that cut off this step are added, once (compare Hettich and Kortanek 1993, "Semi-infinite programming").
 
     The time scale is left unchanged, unless a boundary velocity is nonzero, so that the pieces there change with the
     time scale, or tracking errors depend on speed.
@@ -383,11 +388,21 @@ def _step(
     # Minimum time scale of a step if a boundary velocity is nonzero or tracking errors depend on speed: neither is
     # linear in the time scale.
     least = None if free else 1.0 if on_rows else 0.75
-    found = problem.step(spline, trust, gap, least=least)
+    rows = problem.program(spline, trust, least=least)
+    found = problem.solve(rows, spline, gap)
     if found is None:
         return None
     change = np.zeros_like(spline.control)
-    change[RESTING:-RESTING, problem.options.movable], time_scale = found
+    inner = slice(RESTING, -RESTING), problem.options.movable
+    if free:
+        change[inner] = found[0]
+        moved = _apply_step(spline, change, 1.0)
+        cuts = problem.cuts(moved, found[0])
+        if cuts is None:
+            return _Step(moved, 1.0, found[1])
+        if len(cuts.upper) <= len(rows.upper) - len(rows.lower):  # with more there is hardly ever a solution
+            found = problem.solve(with_rows(rows, cuts), spline, gap) or found
+    change[inner], time_scale = found
     # A step is halved at most this many times until it is collision-free.
     parts = (0.5**halving for halving in range(5 + 1))
     tried = (

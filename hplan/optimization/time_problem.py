@@ -13,14 +13,14 @@ from hplan.collision.compiled_bodies import thicker
 from hplan.collision.compiled_field import ClearanceField
 from hplan.collision.compiled_motions import piece_is_clear
 from hplan.optimization.constraint_rows import NEAR_LIMIT, TorqueUse, torque_rows, with_rows
-from hplan.optimization.first_order import MotionArrays, MotionLimits, first_order, least_time_scale
+from hplan.optimization.first_order import MotionArrays, MotionLimits, clearance_cuts, first_order, least_time_scale
 from hplan.optimization.interior_point import ProgramRows, solve_program
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.timed_spline import RESTING, BoundaryState, TimedSpline
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.limits import Limits, rest_to_rest
 from hplan.trajectory.retime import KEPT, torque_excess
-from hplan.trajectory.spline import MovableSpline, pieces_are_clear
+from hplan.trajectory.spline import MovableSpline, blocked_pieces, pieces_are_clear
 
 #: Fraction of the margin that the exact check of a step requires; the programs require all of it at their sample
 #: points.
@@ -140,33 +140,59 @@ class TimeProblem(Record):
             return 1.0
         return torque_excess(self.dynamics, use.states[0], use.use * use.limit, allowed / (1.0 + KEPT) * use.limit)
 
-    def step(
-        self, spline: TimedSpline, trust: float, gap: float, *, least: float | None = None
-    ) -> tuple[FloatArray, float] | None:
-        """Optimal step to first order; None if the program has no solution.
+    def program(self, spline: TimedSpline, trust: float, *, least: float | None = None) -> ProgramRows:
+        """Linear program of a step, to first order.
 
         Args:
             trust: Maximum change of a control point [rad].
-            gap: Accuracy of the solution.
             least: Minimum time scale; None for no minimum.
-
-        Returns:
-            (inner, movable) changes of the inner control points, and the time scale.
         """
         arrays, options = self.arrays, self.options
-        motion = MotionArrays(np.array(spline.control), spline.knots, spline.drift)
-        rows = first_order(motion, arrays, self.near.arrays, options.margin, trust)
+        rows = first_order(_arrays_of(spline), arrays, self.near.arrays, options.margin, trust)
         check_deadline()
         if least is not None:
             rows = with_rows(rows, _at_least(least))
         use = self.torque_use(spline)
         if use is not None and use.largest > NEAR_LIMIT:
             rows = with_rows(rows, torque_rows(use, spline, self.dynamics, arrays))
-        joints = len(options.movable)
-        inner = len(spline.control) - 2 * RESTING
+        return rows
+
+    def solve(
+        self, rows: ProgramRows, spline: TimedSpline, gap: tuple[float, float]
+    ) -> tuple[FloatArray, float] | None:
+        """Optimal step; None if the program has no solution.
+
+        Args:
+            rows: The program of a step from the spline.
+            gap: Accuracy of the solution (`hplan.optimization.interior_point.solve_program`).
+
+        Returns:
+            (inner, movable) changes of the inner control points, and the time scale.
+        """
+        joints, inner = len(self.options.movable), len(spline.control) - 2 * RESTING
         found, unknowns = solve_program(rows, inner * joints, 4 * joints - 1, gap, kernel_time_limit())
         check_deadline()
         return (unknowns[:-1].reshape(inner, joints), float(unknowns[-1])) if found else None
+
+    def cuts(self, moved: TimedSpline, change: FloatArray) -> ProgramRows | None:
+        """Further rows for the program of a step that leads into contact; None if it is clear.
+
+        Args:
+            moved: The motion after the step, from rest to rest.
+            change: (inner, movable) the step.
+        """
+        margin = self.options.margin
+        blocked = blocked_pieces(moved.path.pieces, self.field, _PROVED * margin)
+        if not blocked.any():
+            return None
+        rows = clearance_cuts(_arrays_of(moved), change.ravel(), blocked, self.arrays, self.field.arrays, margin)
+        check_deadline()
+        return rows
+
+
+def _arrays_of(spline: TimedSpline) -> MotionArrays:
+    """A spline for kernels."""
+    return MotionArrays(np.array(spline.control), spline.knots, spline.drift)
 
 
 def _at_least(time_scale: float) -> ProgramRows:

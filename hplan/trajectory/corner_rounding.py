@@ -31,7 +31,7 @@ from hplan.base.arrays import FloatArray, numbers, readonly
 from hplan.collision.compiled_field import ClearanceField
 from hplan.errors import CertificationError, InputError
 from hplan.geometry.polyline import stations
-from hplan.trajectory.spline import SplinePath, first_contact
+from hplan.trajectory.spline import SplinePath, blocked_pieces
 
 #: Minimum deviation that can be requested [rad]: sharper corners exceed toppra's tolerances.
 LEAST_DEVIATION = 1e-4
@@ -101,7 +101,7 @@ def clear_rounding(path: FloatArray, field: ClearanceField, *, margin: float) ->
     half = _widest(np.linalg.norm(np.diff(path, axis=0), axis=1))
     while True:
         spline = _round_corners(path, half)
-        bad = np.flatnonzero(first_contact(spline.pieces, field, 0.5 * margin))
+        bad = np.flatnonzero(blocked_pieces(spline.pieces, field, 0.5 * margin))
         if not len(bad):
             return spline
         # Pieces come in threes: straight, into the corner, out of it.

@@ -111,14 +111,22 @@ class SplinePath(Record):
             field: Clearances to the obstacles.
             margin: Required clearance at each evaluated configuration [m].
         """
-        return bool(np.isfinite(self.control).all()) and not first_contact(self.pieces, field, margin).any()
+        return bool(np.isfinite(self.control).all()) and not blocked_pieces(self.pieces, field, margin).any()
 
 
-def first_contact(pieces: FloatArray, field: ClearanceField, margin: float) -> BoolArray:
+def blocked_pieces(pieces: FloatArray, field: ClearanceField, margin: float) -> BoolArray:
     """(pieces,) True for each Bezier piece that is not verified collision-free."""
-    contact = np.array([not piece_is_clear(piece, field.arrays, margin, 0.0) for piece in np.array(pieces)])
+    blocked = np.empty(len(pieces), dtype=np.bool_)
+    _mark_blocked(np.array(pieces), field.arrays, margin, blocked)
     check_deadline()
-    return contact
+    return blocked
+
+
+@kernel
+def _mark_blocked(pieces: FloatArray, field: FieldArrays, margin: float, blocked: BoolArray) -> None:
+    """Mark the pieces that `piece_is_clear` does not verify."""
+    for i in range(len(pieces)):
+        blocked[i] = not piece_is_clear(pieces[i], field, margin, 0.0)
 
 
 class MovableSpline(NamedTuple):

@@ -16,7 +16,7 @@ from scipy.interpolate import BSpline
 from hplan.certificate.limit_use import limit_use
 from hplan.collision.compiled_field import ClearanceField
 from hplan.optimization.constraint_rows import ALLOWED, TorqueUse, torque_rows
-from hplan.optimization.first_order import NEAR, PLACES, SCALE, MotionArrays, MotionLimits, first_order
+from hplan.optimization.first_order import NEAR, SCALE, MotionArrays, MotionLimits, first_order, sample_places
 from hplan.optimization.minimize_time import Level, OptimizerEffort, minimize_time
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.time_problem import TimeProblem
@@ -138,8 +138,8 @@ def test_clearances_follow_the_time_scale_where_an_end_is_in_motion(robot, limit
 
 
 def clearances(spline, field):
-    breaks = spline.knots[3:-3]
-    clock = (breaks[:-1, None] + np.diff(breaks)[:, None] * np.arange(PLACES) / PLACES).ravel()
+    piece, part = sample_places(np.array(spline.control), spline.knots, field.arrays).T
+    clock = np.interp(piece + part, np.arange(PIECES + 1), spline.knots[3:-3])
     return field.clearance_along(BSpline(spline.knots, spline.control, 3)(clock)).ravel()
 
 
@@ -235,8 +235,8 @@ def test_brief_level_solves_few_programs_and_keeps_the_limits(robot, monkeypatch
     rest = BoundaryState.at_rest(START), BoundaryState.at_rest(START + TURN)
     fast = BoundaryState(START, 0.8 * TURN, 2.0 * TURN)
     counts, durations = [], []
-    solve = TimeProblem.step
-    monkeypatch.setattr(TimeProblem, "step", lambda *given, **more: counts.append(1) or solve(*given, **more))
+    solve = TimeProblem.solve
+    monkeypatch.setattr(TimeProblem, "solve", lambda *given, **more: counts.append(1) or solve(*given, **more))
     for is_brief in (False, True):
         counts.clear()
         effort = OptimizerEffort((replace(EFFORT.levels[-1], gain=0.06, is_brief=is_brief),))

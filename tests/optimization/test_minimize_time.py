@@ -20,14 +20,17 @@ from hplan.collision.compiled_field import ClearanceField
 from hplan.optimization.coarse_profile import coarse_profile
 from hplan.optimization.constraint_rows import ALLOWED, TorqueUse, torque_rows
 from hplan.optimization.first_order import (
+    APART,
+    CUT_PLACES,
     NEAR,
-    PLACES,
     SCALE,
     MotionArrays,
     MotionLimits,
     basis,
+    clearance_cuts,
     first_order,
     least_time_scale,
+    sample_places,
 )
 from hplan.optimization.interior_point import ProgramRows, solve_program
 from hplan.optimization.minimize_time import minimize_time, rough_motion
@@ -208,8 +211,8 @@ def test_clearances_minus_tracking_displacement_follow_step_and_time_scale(motio
 
     def left(values, time_scale):
         """Clearances in the order of the constraint rows."""
-        spline, breaks = BSpline(knots, values, 3), knots[3:-3]
-        clock = (breaks[:-1, None] + np.diff(breaks)[:, None] * np.arange(PLACES) / PLACES).ravel()
+        spline, (piece, part) = BSpline(knots, values, 3), sample_places(control, knots, field.arrays).T
+        clock = np.interp(piece + part, np.arange(PIECES + 1), knots[3:-3])
         return (field.clearance_along(spline(clock)) - np.abs(spline(clock, 1)) @ lever.T / time_scale).ravel()
 
     here = left(control, 1.0)
@@ -225,6 +228,46 @@ def test_clearances_minus_tracking_displacement_follow_step_and_time_scale(motio
         np.testing.assert_allclose(spare, MARGIN, atol=1e-12)
 
 
+def test_sample_points_are_no_farther_apart_than_the_arm_may_move(motion, robot):
+    control, knots = motion
+    field = field_of(robot)
+    piece, part = sample_places(control, knots, field.arrays).T
+    clock = np.append(np.interp(piece + part, np.arange(PIECES + 1), knots[3:-3]), knots[-1])
+    turns = np.abs(np.diff(BSpline(knots, control, 3)(clock), axis=0))
+    farthest = (turns @ field.reaches[: len(field.arrays.bodies)].T).max(axis=1)
+    counts = np.bincount(piece.astype(int))
+    assert set(counts) <= {1, 2, 3}
+    assert len(set(counts)) > 1
+    few = counts[piece.astype(int)] < 3
+    assert (farthest[few] < 1.5 * APART).all()  # nearly: joints do not turn evenly within a piece
+
+
+def test_cuts_are_the_clearances_about_the_motion_after_the_step(motion, limits, robot):
+    control, knots = motion
+    field, count = field_of(robot), (PIECES - 3) * 2
+    change = np.random.default_rng(6).uniform(-0.02, 0.02, count)
+    after, blocked = moved(control, change, limits.movable), np.arange(PIECES) % 3 == 0
+    rows = clearance_cuts(at_rest(after, knots), change, blocked, limits, field.arrays, MARGIN)
+    matrix = dense(rows, count)
+    breaks, parts = knots[3:-3], (np.arange(CUT_PLACES) + 0.5) / CUT_PLACES
+    clock = (breaks[:-1, None] + np.diff(breaks)[:, None] * parts)[blocked].ravel()
+
+    def left(values):
+        return field.clearance_along(BSpline(knots, values, 3)(clock)).ravel()
+
+    assert len(rows.lower) == 0
+    assert 0 < len(rows.upper) < len(clock) * field.count
+    # Each row is the clearance of some body at some sample point, beyond the margin, and its derivative.
+    spare = (rows.upper - matrix[:, :-1] @ change) * SCALE + MARGIN
+    here = left(after)
+    which = np.abs(here[:, None] - spare).argmin(axis=0)
+    np.testing.assert_allclose(here[which], spare, atol=1e-12)
+    by = np.random.default_rng(7).uniform(-1e-5, 1e-5, count)
+    gained = left(moved(after, by, limits.movable))[which] - here[which]
+    expected = -(matrix[:, :-1] @ by) * SCALE
+    np.testing.assert_allclose(gained, expected, atol=2e-9 + 1e-3 * np.abs(expected).max())
+
+
 def test_control_points_outside_the_joint_limits_come_back(motion, limits, robot):
     control, knots = motion
     control[6, 1] = limits.upper[1] + 0.01
@@ -234,7 +277,7 @@ def test_control_points_outside_the_joint_limits_come_back(motion, limits, robot
     assert bound == pytest.approx(-0.01 / TRUST)
 
 
-ACCURACY = 1e-8
+ACCURACY = 1e-8, 0.0
 
 
 def drawn(seed: int, count: int, band: int, one_sided: int) -> tuple[ProgramRows, np.ndarray, np.ndarray]:

@@ -14,7 +14,7 @@ from hplan.collision.compiled_motions import piece_is_clear
 from hplan.optimization.timed_spline import TimedSpline, breaks_at_rows, even_breaks
 from hplan.robot.dynamics import InverseDynamics
 from hplan.scene.obstacles import Sphere
-from hplan.trajectory.spline import STRIDE, MovableSpline, SplinePath, first_contact, pieces_are_clear
+from hplan.trajectory.spline import STRIDE, MovableSpline, SplinePath, blocked_pieces, pieces_are_clear
 
 
 @st.composite
@@ -162,7 +162,7 @@ def test_piece_in_contact_is_named(robot, scene):
     expected = []
     for low, high in zip(path.breaks[:-1], path.breaks[1:], strict=True):
         expected.append(min(checker.distances(q).min() for q in path.evaluate(np.linspace(low, high - 1e-12, 300))) < 0)
-    found = first_contact(path.pieces, field, 1e-6)
+    found = blocked_pieces(path.pieces, field, 1e-6)
     assert found.tolist() == expected
     assert 0 < sum(expected) < len(expected)
     assert not path.is_clear(field, 1e-6)

@@ -168,9 +168,6 @@ class Problem(Record):
                 joint=name,
             )
         clearance = min(world.check_clear(first, "start"), world.check_clear(last, "goal"))
-        # coal's distances between hulls are accurate to its tolerance; the last digits depend on earlier queries.
-        in_kernels = float(world.field.spare_clearances([first, last]).min())
-        clearance = in_kernels if in_kernels > 0.0 else clearance
         last = readonly(np.where(locked, first, last))
         ranges = narrow_ranges(world.checker, first, last, clearance)
         return replace(

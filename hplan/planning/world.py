@@ -31,9 +31,8 @@ from hplan.robot.upright import UprightTool
 from hplan.scene.model import Scene, growing_from, hanging_from
 from hplan.scene.obstacle_kind import Sigmas, Solid, growths
 
-#: Spare clearance by the compiled distances from which a configuration counts as clear, and the value to which larger
-#: ones are clamped [m].
-_CLEARLY_M, _ENOUGH_M = 2e-3, 1.0
+#: Spare clearance by the compiled distances from which a configuration counts as clear [m].
+_CLEARLY_M = 2e-3
 
 #: Maximum number of cached clearances.
 _KNOWN = 4096
@@ -160,8 +159,8 @@ class World(Record):
     def check_clear(self, q: FloatArray, which: str) -> float:
         """Clearance of a configuration at rest beyond the requirement [m].
 
-        The requirement is the clearance to keep plus the tracking displacement bound of each link. Clearances of more
-        than a metre may be clamped to it.
+        The requirement is the clearance to keep plus the tracking displacement bound of each link. Clearances are
+        clamped to `hplan.collision.distance_checker.FAR`.
 
         Args:
             q: (dof,) configuration.
@@ -193,17 +192,18 @@ class World(Record):
     def _check(self, q: FloatArray, which: str) -> float:
         if self.upright is not None:
             self.upright.check(self.robot, q, which, self.deviation)
-        if not len(self.checker.near_pairs):
-            # Compiled distances are lower bounds, and quicker among clouds. Coal decides close cases, and certifies.
-            spare = self.field.spare_clearance(q, enough=_ENOUGH_M)
-            if spare > _CLEARLY_M:
-                return spare
+        # Compiled distances are lower bounds, and quicker among clouds. Coal decides close cases, and certifies.
+        spare = self.field.spare_clearance(q)
+        if spare > _CLEARLY_M and not len(self.checker.near_pairs):
+            return spare
         checker = self.checker if which == "start" else self._firm_checker
-        if self.deviation == 0.0:
-            return check_clear(checker, q, which)
         try:
-            return check_clear(checker, q, which)
+            by_coal = check_clear(checker, q, which)
+            # Coal's distances between hulls are accurate to its tolerance; the last digits depend on earlier queries.
+            return spare if spare > 0.0 else by_coal
         except ConfigurationInCollisionError as error:
+            if self.deviation == 0.0:
+                raise
             _, sway = self.checker.required_distances
             left = self.checker.pair_distances(q) - self.clearance
             fraction = float((left / np.maximum(sway, 1e-300)).min())

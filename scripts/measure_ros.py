@@ -293,8 +293,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--folder", type=Path, default=Path("/tmp"), help="for the scene files")
     given = parser.parse_args(argv)
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    # A cloud is larger than the default buffers of Fast DDS, which then sends parts of it again after a while.
-    os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "LARGE_DATA")
+    os.environ.setdefault("FASTDDS_DEFAULT_PROFILES_FILE", str(Path(__file__).parent / "ros" / "large_messages.xml"))
     given.folder.mkdir(parents=True, exist_ok=True)
     if given.what == "soak":
         soak(given.folder, given.seconds)

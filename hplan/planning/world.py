@@ -199,8 +199,6 @@ class World(Record):
         checker = self.checker if which == "start" else self._firm_checker
         try:
             by_coal = check_clear(checker, q, which)
-            # Coal's distances between hulls are accurate to its tolerance; the last digits depend on earlier queries.
-            return spare if spare > 0.0 else by_coal
         except ConfigurationInCollisionError as error:
             if self.deviation == 0.0:
                 raise
@@ -209,6 +207,8 @@ class World(Record):
             fraction = float((left / np.maximum(sway, 1e-300)).min())
             name_margin(error, TrackingModel(self.deviation), self.robot.slides, fraction)
             raise
+        # Coal's distances between hulls are accurate to its tolerance; the last digits depend on earlier queries.
+        return spare if spare > 0.0 else by_coal
 
     def fraction_of_deviation(self, configurations: FloatArray, wanted: float) -> float:
         """Largest fraction of the deviation that leaves one configuration the clearance.

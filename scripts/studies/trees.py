@@ -8,6 +8,7 @@ with the shortest expected motion from home. All fruits are obstacles.
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -236,22 +237,26 @@ ROW_DEPTH, THIN = 0.02, 0.008
 #: Wood of the rows: bounded by depth, by force and stress, and thin wood left out, which no real arm can do.
 WOODS = ("depths", "forces", "no thin wood")
 
+#: Grasps of the rows, each with the maximum distance of the tool from a fruit's centre, at most its radius [m].
+OFFSETS = {"at centres": 0.0, "off centres": 0.02}
+
 
 @dataclass(frozen=True)
 class TreeRow:
-    """A measured tree that a vehicle passes: the tree's name, the kind of its wood, and the scene."""
+    """A measured tree that a vehicle passes: the tree's name, the kinds of its wood and grasps, and the scene."""
 
     name: str
-    wood: str
+    kind: str
     scene: Scene
 
 
 def _tree_rows(config: StudyConfig) -> Iterable[TreeRow]:
     files = sorted(config.trees.glob("*.csv") if config.trees is not None else ())[: config.count]
-    return [_tree_row(file, wood) for file in files for wood in config.chosen(WOODS)]
+    kinds = config.chosen(WOODS), config.chosen(OFFSETS)
+    return [_tree_row(file, wood, grasps) for file, wood, grasps in itertools.product(files, *kinds)]
 
 
-def _tree_row(file: Path, wood: str) -> TreeRow:
+def _tree_row(file: Path, wood: str, grasps: str) -> TreeRow:
     depth = 0.0 if wood == "forces" else ROW_DEPTH
     given = MeasuredOptions(distance=ROW_DISTANCE, wood_yields=depth, yields_below=THIN, fruit_yields=depth)
     scene = measured_orchard_scene([file], given)
@@ -259,14 +264,15 @@ def _tree_row(file: Path, wood: str) -> TreeRow:
         scene = with_limbs(scene)
     elif wood == "no thin wood":
         scene = scene.copy_unchecked({"obstacles": tuple(one for one in scene.obstacles if not one.yields)})
-    return TreeRow(file.stem, wood, scene)
+    fruits = (one.copy_unchecked({"grasp_offset": min(OFFSETS[grasps], one.radius)}) for one in scene.fruits)
+    return TreeRow(file.stem, f"{wood}, {grasps}", scene.copy_unchecked({"fruits": tuple(fruits)}))
 
 
 def _plan_row(config: StudyConfig, problem: TreeRow) -> Row:
     robot, scene, begin = config.arm("orchard_harvester"), problem.scene, time.process_time()
     given = RowOptions(distance=ROW_DISTANCE, step=ROW_STEP)
     found = or_error(lambda: plan_row(robot, scene, PlanOptions(effort=config.effort), row=given))
-    row: Row = {"name": f"{problem.name}, {problem.wood}", "wood": problem.wood, "fruits": len(scene.fruits)}
+    row: Row = {"name": f"{problem.name}, {problem.kind}", "kind": problem.kind, "fruits": len(scene.fruits)}
     row |= {"cpu_s": time.process_time() - begin}
     if isinstance(found, TourError):
         reasons, _ = tally_reasons((reason_of(error), None) for _, error in found.reasons)
@@ -280,15 +286,15 @@ def _plan_row(config: StudyConfig, problem: TreeRow) -> Row:
 
 ROWS = Study(
     "rows",
-    "fruit picked from stops along a measured tree each (--trees), by how its wood is bounded",
+    "fruit picked from stops along a measured tree each (--trees), by how wood is bounded and fruit grasped",
     _plan_row,
     ("fruits", "picked", *REASONS, "motion_s_per_fruit", "cpu_s"),
     problems=_tree_rows,
-    by="wood",
+    by="kind",
     totals=("fruits", "picked", *REASONS, "motion_s", "cpu_s"),
     count=(None, 1),
     needs=("trees",),
     peers=(),
     warm=0,
-    choices=(WOODS,),
+    choices=(WOODS, tuple(OFFSETS)),
 )

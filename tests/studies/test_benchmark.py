@@ -135,7 +135,8 @@ def test_rows_of_stops(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rows += [f"fruit,{x},0.0,{z},{x},0.0,{z},0.03" for x, z in ((-0.45, 1.165), (-0.2, 1.3))]
     (tmp_path / "t1.csv").write_text("\n".join(rows) + "\n")
     found = rows_of("rows", tmp_path / "out", "--trees", str(tmp_path), "--effort", "quick")
-    assert [row["wood"] for row in found] == list(among_trees.WOODS)
+    expected = [f"{wood}, {grasps}" for wood in among_trees.WOODS for grasps in among_trees.OFFSETS]
+    assert [row["kind"] for row in found] == expected
     for row in found:
         assert row["fruits"] == 2 == row["picked"] + sum(row[key] for key in REASONS)
     assert found[-1]["picked"] > 0

@@ -304,7 +304,7 @@ class RunningMotion:
         begins_s = self.begins_s
         state = _state_at(self.plan.trajectory, self.row)
         scene = self._scene.starting_at(begins_s).copy_unchecked({"start": state})
-        trajectory = replace(trajectory, takes_over_s=0.0)
+        trajectory = trajectory.copy_unchecked(trajectory.rows, takes_over_s=0.0)
         certificate = replace(certificate, digests=Digests(self._robot, scene, trajectory))
         transit = made.motion
         problem = replace(transit.problem, scene=scene, options=self._options)

@@ -78,7 +78,7 @@ class Level:
             fraction of the step that was collision-free.
         trust: Maximum change of a control point in a joint in the first step [rad].
         is_brief: True to solve few programs: a step as a whole that changes the duration by less than `gain` ends the
-            level even if it is the first, and pieces that meet at samples are as many as before.
+            level even if it is the first, and the last step is less accurate, with as many pieces.
         enough: The level ends when the duration is within this fraction of the lower bound for pieces of this length
             (`TimeProblem.least_duration`); 0 to ignore the lower bound.
     """
@@ -333,7 +333,8 @@ def _on_rows(spline: TimedSpline, problem: TimeProblem, level: Level) -> TimedSp
         breaks = breaks_at_rows(rows, pieces, problem.rate_hz)
         slower = spline.at_time_scale(breaks[-1] / spline.duration)
         near = TimedSpline.approximate(slower.positions, breaks, problem.ends)
-        step = _step(near, problem, trust, (_EXACT, 0.0), on_rows=True)
+        accuracy = 0.5 * KEPT if level.is_brief else _EXACT
+        step = _step(near, problem, trust, (accuracy, 0.0), on_rows=True)
         if step is None and problem.sway is not None and found is None:
             rows = math.ceil(rows * _REPAIRED)
             continue

@@ -121,10 +121,8 @@ class TimedSpline(Record):
 
     def _interpolate(self, points: FloatArray, clock: FloatArray) -> TimedSpline:
         """Interpolate (inner, dof) points with the inner control points; ends stay fixed."""
-        from scipy.interpolate import BSpline
-
         inner = slice(RESTING, -RESTING)
-        weights = BSpline.design_matrix(clock[inner], self.knots, 3).toarray()
+        weights = self.weights(clock[inner])
         control = np.array(self.control)
         control[inner] = 0.0
         control[inner] = np.linalg.solve(weights[:, inner], points - weights @ control)

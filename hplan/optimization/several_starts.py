@@ -8,7 +8,7 @@ deform into each other lead to about the same motion, so only the fastest path o
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -16,13 +16,16 @@ import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray
+from hplan.collision.compiled_field import ClearanceField
 from hplan.optimization.coarse_profile import coarse_profile
 from hplan.optimization.minimize_time import LONGEST_MOTION_S, OptimizerEffort, minimize_time, rough_motion
+from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.path_classes import PARTS, class_numbers
-from hplan.optimization.smooth_path import SMALLEST_FRACTION, clear_start, near_field
+from hplan.optimization.smooth_path import SMALLEST_FRACTION, clear_start, near_field, rounded_start
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import TimedSpline
 from hplan.trajectory.speed_profile import SpeedProfile
+from hplan.trajectory.spline import SplinePath
 
 #: Obstacles farther than this from a path are left out of the programs that move it [m].
 NEAR_PATH_M = 0.4
@@ -54,25 +57,38 @@ def optimization_starts(paths: Sequence[FloatArray], problem: TimeProblem) -> li
     """Smooth paths near given polylines, sorted by estimated duration, fastest first.
 
     A path is left out if no collision-free spline is found near it, or if its estimated duration is too long to
-    optimize.
+    optimize. If none is left, they start along the polylines themselves, with rounded corners.
 
     Args:
         paths: (m, dof) collision-free polylines that share their start and goal.
         problem: Limits and clearance constraints; its nearby obstacles are selected for each path.
     """
     found: list[OptimizationStart] = []
-    for number, path in enumerate(paths):
-        near = near_field(path, problem.field, NEAR_PATH_M)
-        is_clear = near.is_clear(path, SMALLEST_FRACTION * problem.options.margin)
-        spline = clear_start(path, near, problem.options) if is_clear else None
-        if spline is not None:
-            profile = coarse_profile(spline, problem.options)
-            if profile.duration < LONGEST_MOTION_S:
-                along = profile.positions(PARTS * profile.duration)
-                near = near.without_idle_pairs(along, problem.options.movable, NEAR_PATH_M, _FARTHEST_TURN)
-                found.append(OptimizationStart(number, replace(problem, near=near), profile))
+    for find_spline in (clear_start, rounded_start):
+        near_paths = (_start_near(path, number, problem, find_spline) for number, path in enumerate(paths))
+        found = found or [start for start in near_paths if start is not None]
     times = [start.profile.duration * (1.0 - _PREFERRED_SMOOTH * (start.number == 0)) for start in found]
     return [found[k] for k in ties.argsort(times).tolist()]
+
+
+def _start_near(
+    path: FloatArray,
+    number: int,
+    problem: TimeProblem,
+    find_spline: Callable[[FloatArray, ClearanceField, PostprocessOptions], SplinePath | None],
+) -> OptimizationStart | None:
+    """The smooth path near one polyline; None if there is none or it takes too long."""
+    near = near_field(path, problem.field, NEAR_PATH_M)
+    is_clear = near.is_clear(path, SMALLEST_FRACTION * problem.options.margin)
+    spline = find_spline(path, near, problem.options) if is_clear else None
+    if spline is None:
+        return None
+    profile = coarse_profile(spline, problem.options)
+    if not profile.duration < LONGEST_MOTION_S:
+        return None
+    along = profile.positions(PARTS * profile.duration)
+    near = near.without_idle_pairs(along, problem.options.movable, NEAR_PATH_M, _FARTHEST_TURN)
+    return OptimizationStart(number, replace(problem, near=near), profile)
 
 
 def fastest_motions(

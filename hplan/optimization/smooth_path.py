@@ -130,6 +130,21 @@ def clear_start(
     return None
 
 
+def rounded_start(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> SplinePath | None:
+    """A shortened polyline with rounded corners, as an optimizer's initial guess.
+
+    None if its corners cannot be rounded.
+
+    Args:
+        path: (m, dof) waypoints, verified to keep the smallest margin, m >= 2.
+    """
+    smallest = SMALLEST_FRACTION * options.margin
+    try:
+        return clear_rounding(shorten(path, field, margin=smallest), field, margin=smallest)
+    except CertificationError:
+        return None
+
+
 def straight_duration(start: FloatArray, goal: FloatArray, options: PostprocessOptions) -> float:
     """Duration of the straight motion under velocity and acceleration limits [s].
 

@@ -15,6 +15,7 @@ from hplan.collision.compiled_field import ClearanceField
 from hplan.errors import CertificationError
 from hplan.geometry.polyline import path_length
 from hplan.optimization import coarse_profile as coarse
+from hplan.optimization import several_starts
 from hplan.optimization import smooth_path as postprocess_path
 from hplan.optimization.coarse_profile import coarse_profile
 from hplan.optimization.minimize_time import Level, OptimizerEffort
@@ -381,3 +382,16 @@ def test_paths_in_contact_give_no_start(problem):
     starts = optimization_starts([straight, *paths()], problem)
     assert sorted(start.number for start in starts) == [1, 2, 3]
     assert all(math.isfinite(start.profile.duration) for start in starts)
+
+
+def test_starts_are_rounded_polylines_where_no_smoother_one_is_found(problem, monkeypatch):
+    smooth = fastest_motions(optimization_starts(paths(), problem), EFFORT)[0][1]
+    monkeypatch.setattr(several_starts, "clear_start", lambda *given: None)
+    starts = optimization_starts(paths(), problem)
+    assert sorted(start.number for start in starts) == [0, 1, 2]
+    for start in starts:
+        along = start.profile.positions(np.linspace(0.0, start.profile.duration, 500))
+        assert problem.field.clearance_along(along).min() > 0.0
+    assert fastest_motions(starts, EFFORT)[0][1].duration == pytest.approx(smooth.duration, rel=0.02)
+    monkeypatch.setattr(several_starts, "rounded_start", lambda *given: None)
+    assert optimization_starts(paths(), problem) == []

@@ -23,8 +23,9 @@ from hplan.trajectory.retime import KEPT, torque_excess
 from hplan.trajectory.spline import MovableSpline, blocked_pieces, pieces_are_clear
 
 #: Fraction of the margin that the exact check of a step requires; the programs require all of it at their sample
-#: points.
-_PROVED = 0.05
+#: points. If that is less than the distance [m], the check requires up to half of the margin: closer to contact a
+#: certificate may fail.
+_PROVED, _PROVABLE = 0.05, 3e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,12 +62,18 @@ class TimeProblem(Record):
         sway = np.empty((0, len(options.lower))) if self.sway is None else self.sway
         return MotionLimits(options.lower, options.upper, rates, options.movable, sway)
 
+    @property
+    def proved_margin(self) -> float:
+        """Clearance that the exact check of a step requires [m]."""
+        margin = self.options.margin
+        return max(_PROVED * margin, min(0.5 * margin, _PROVABLE))
+
     def is_clear(self, spline: TimedSpline) -> bool:
         """True if the whole motion is verified collision-free, tracking errors included."""
         if self.sway is not None:
             return self._is_clear_swaying(spline, self.sway)
         moved = MovableSpline(np.array(spline.control), spline.knots)
-        clear = pieces_are_clear(moved, self.field.arrays, _PROVED * self.options.margin)
+        clear = pieces_are_clear(moved, self.field.arrays, self.proved_margin)
         check_deadline()
         return bool(clear)
 
@@ -78,11 +85,10 @@ class TimeProblem(Record):
         pieces, arrays = spline.path.pieces, self.field.arrays
         velocity = 3.0 * np.abs(np.diff(pieces, axis=1)) / np.diff(spline.path.breaks)[:, None, None]
         swayed = (velocity @ sway.T).max(axis=1)
-        margin = _PROVED * self.options.margin
         for piece, grown in zip(np.array(pieces), swayed, strict=True):
             bodies, pairs = thicker(arrays.bodies, arrays.pairs, grown)
             swollen = arrays._replace(bodies=bodies, pairs=pairs)
-            clear = piece_is_clear(piece, swollen, margin, 0.0)
+            clear = piece_is_clear(piece, swollen, self.proved_margin, 0.0)
             check_deadline()
             if not clear:
                 return False
@@ -181,11 +187,11 @@ class TimeProblem(Record):
             moved: The motion after the step, from rest to rest.
             change: (inner, movable) the step.
         """
-        margin = self.options.margin
-        blocked = blocked_pieces(moved.path.pieces, self.field, _PROVED * margin)
+        blocked = blocked_pieces(moved.path.pieces, self.field, self.proved_margin)
         if not blocked.any():
             return None
-        rows = clearance_cuts(_arrays_of(moved), change.ravel(), blocked, self.arrays, self.field.arrays, margin)
+        motion, margin = _arrays_of(moved), self.options.margin
+        rows = clearance_cuts(motion, change.ravel(), blocked, self.arrays, self.field.arrays, margin)
         check_deadline()
         return rows
 

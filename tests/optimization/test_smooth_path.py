@@ -395,3 +395,10 @@ def test_starts_are_rounded_polylines_where_no_smoother_one_is_found(problem, mo
     assert fastest_motions(starts, EFFORT)[0][1].duration == pytest.approx(smooth.duration, rel=0.02)
     monkeypatch.setattr(several_starts, "rounded_start", lambda *given: None)
     assert optimization_starts(paths(), problem) == []
+
+
+@pytest.mark.parametrize(("margin", "proved"), [(2e-3, 1e-4), (4e-4, 3e-5), (1e-5, 5e-6)])
+def test_small_margins_are_proved_by_half(problem, margin, proved):
+    """Near ends almost in contact; with a twentieth of such a margin, certificates failed."""
+    near_contact = replace(problem, options=replace(problem.options, margin=margin))
+    assert near_contact.proved_margin == pytest.approx(proved)

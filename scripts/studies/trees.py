@@ -258,14 +258,15 @@ def _tree_rows(config: StudyConfig) -> Iterable[TreeRow]:
 
 def _tree_row(file: Path, wood: str, grasps: str) -> TreeRow:
     depth = 0.0 if wood == "forces" else ROW_DEPTH
-    given = MeasuredOptions(distance=ROW_DISTANCE, wood_yields=depth, yields_below=THIN, fruit_yields=depth)
+    given = MeasuredOptions(
+        distance=ROW_DISTANCE, wood_yields=depth, yields_below=THIN, fruit_yields=depth, grasp_offset=OFFSETS[grasps]
+    )
     scene = measured_orchard_scene([file], given)
     if wood == "forces":
         scene = with_limbs(scene)
     elif wood == "no thin wood":
         scene = scene.copy_unchecked({"obstacles": tuple(one for one in scene.obstacles if not one.yields)})
-    fruits = (one.copy_unchecked({"grasp_offset": min(OFFSETS[grasps], one.radius)}) for one in scene.fruits)
-    return TreeRow(file.stem, f"{wood}, {grasps}", scene.copy_unchecked({"fruits": tuple(fruits)}))
+    return TreeRow(file.stem, f"{wood}, {grasps}", scene)
 
 
 def _plan_row(config: StudyConfig, problem: TreeRow) -> Row:

@@ -81,10 +81,10 @@ def test_fruit_that_hung_on_a_tree_is_read_with_it(write):
 
 def test_nearest_fruit_of_tree_is_used_first_and_compliant_on_request(write):
     path = write(TREE + "fruit,0.2,0,1.2,0.2,0,1.2,0.035\nfruit,-0.3,0.1,1.4,-0.3,0.1,1.4,0.03\n")
-    options = MeasuredOptions(wood_yields=0.02, yields_below=0.02, fruit_yields=0.01)
+    options = MeasuredOptions(wood_yields=0.02, yields_below=0.02, fruit_yields=0.01, grasp_offset=0.033)
     scene = measured_orchard([path], options)
-    assert [(fruit.name, fruit.radius, fruit.yields) for fruit in scene.fruits] == [
-        ("fruit 2", 0.03, 0.01), ("fruit 1", 0.035, 0.01),
+    assert [(fruit.name, fruit.radius, fruit.yields, fruit.grasp_offset) for fruit in scene.fruits] == [
+        ("fruit 2", 0.03, 0.01, 0.03), ("fruit 1", 0.035, 0.01, 0.033),
     ]  # fmt: skip
     assert {piece.yields for piece in scene.obstacles if piece.radius >= 0.02} == {0.0}
     assert {piece.yields for piece in scene.obstacles if piece.radius < 0.02} == {0.02}

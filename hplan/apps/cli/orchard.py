@@ -45,7 +45,7 @@ exit status:
 #: Destinations of the options of both kinds of tree rows, of generated rows only, and of measured rows only.
 _COMMON = (
     *("seed", "distance", "spacing", "height", "clearance", "fruits", "fruit_radius", "goal"),
-    *("wood_yields", "yields_below", "fruit_yields", "hangs_within"),
+    *("wood_yields", "yields_below", "fruit_yields", "grasp_offset", "hangs_within"),
 )
 _GROWN = ("form", "trees", "branches", "shoots", "tree_height", "branch_length", "vehicle", "ground")
 _MEASURED = ("turn",)
@@ -125,6 +125,8 @@ def parser(prog: str) -> argparse.ArgumentParser:
         help="radius below which wood is thin, in metres (default: 0.008)",
     )
     add("--yield-fruit", dest="fruit_yields", type=float, metavar="M", help=f"{yields} a fruit, in metres (default: 0)")
+    offset = "maximum distance of the tool from a fruit's centre where wood blocks the centre, in metres (default: 0)"
+    add("--grasp-offset", type=float, metavar="M", help=offset)
     hangs = "distance within which a fruit hangs from the wood, which may deflect during the picking (default: unknown)"
     add("--hangs-within", type=float, metavar="M", help=hangs)
     add_shared(parser, "wood")

@@ -161,8 +161,10 @@ def _assemble_scene(
         else piece
         for piece in obstacles
     ]
-    if options.fruit_yields:
-        fruits = tuple(fruit.copy_unchecked({"yields": options.fruit_yields}) for fruit in fruits)
+    fruits = tuple(
+        fruit.copy_unchecked({"yields": options.fruit_yields, "grasp_offset": min(options.grasp_offset, fruit.radius)})
+        for fruit in fruits
+    )
     if options.hangs_within is not None:
         fruits = attach_fruits(fruits, obstacles, options.hangs_within)
     names = [fruit.name for fruit in fruits]

@@ -79,6 +79,7 @@ class _Row(Options):
     wood_yields: _UpToOne = 0.0
     yields_below: Annotated[float, Field(ge=0.0, le=10.0)] = 0.008
     fruit_yields: _UpToOne = 0.0
+    grasp_offset: _UpToOne = 0.0
     hangs_within: _UpToOne | None = None
 
     def __post_init__(self) -> None:
@@ -125,6 +126,8 @@ class OrchardOptions(_Row):
         wood_yields: Maximum deflection of thin wood [m].
         yields_below: Radius below which wood is thin [m].
         fruit_yields: Maximum deflection of fruit [m].
+        grasp_offset: Maximum distance of the tool from the centre of a fruit at the grasp [m]; its radius if that is
+            less.
         hangs_within: Maximum distance of a fruit from wood that it is attached to [m]; None for no attachments.
     """
 

@@ -95,5 +95,5 @@ def test_spare_clearance_of_world_is_a_close_bound_of_coals(arm: Robot) -> None:
     assert len(free)
     sway = SWAYS_DIFFER * float(world.checker.required_distances[1].max())
     for row in free:
-        found, exact = world.check_clear(row, "here"), min(world.checker.spare_clearance(row, ALL), 1.0)
+        found, exact = world.check_clear(row, "here"), min(world.checker.spare_clearance(row, ALL), FAR)
         assert exact - sway - most_excess(arm) - TOLERANCE <= found <= exact + sway + TOLERANCE

@@ -92,14 +92,13 @@ def test_times_are_the_nearest_nanoseconds(seconds: float) -> None:
     assert seconds_of("t", found) == pytest.approx(seconds, abs=1e-9, rel=1e-15)
 
 
-def test_many_times_are_those_of_one(swing: Trajectory) -> None:
+def test_many_times_are_those_of_one() -> None:
     """Halves of a nanosecond, and what is next to them, are rounded as one time alone."""
     rng = np.random.default_rng(0)
-    halves = rng.integers(0, 2**20, 2000) + (rng.integers(0, 10**9, 2000) + 0.5) / 1e9
-    exact = np.array([0.5**10 * k for k in range(1, 2000)])
-    times = np.sort(
-        np.concatenate([[0.0], exact, halves, np.nextafter(halves, 0.0), rng.uniform(0.0, 2.0**31 - 1, 2000)])
-    )
+    halves = (rng.integers(0, 10**9, 5000) + 0.5) / 1e9
+    near = [halves, np.nextafter(halves, 0.0), np.nextafter(halves, 1.0), rng.integers(0, 2**20, 5000) + halves]
+    exact, others = 0.5**10 * np.arange(2000), rng.uniform(0.0, 2.0**31 - 1, 2000)
+    times = np.sort(np.concatenate([*near, exact, others]))
     assert times_ns("time", times) == [time_ns("time", each) for each in times.tolist()]
     with pytest.raises(OptionError, match="time"):
         times_ns("time", np.array([0.0, 2.0**31]))

@@ -419,7 +419,8 @@ def _clear_candidates(
     if measured[0][1].max() <= SPARE and target.pose is None:
         with suppress(UnreachableError):
             measured.append(evenly_spaced(sampler.more))
-    for length in _OFFSETS * np.array(0.0 if target.fruit is None else target.fruit.grasp_offset):
+    offset = 0.0 if target.fruit is None else target.fruit.grasp_offset
+    for length in (fraction * offset for fraction in _OFFSETS if offset > 0.0):
         best = max(float(rooms.max(initial=_BEYOND)) for _, rooms in measured)
         if -length < best <= ROOMS[-1]:  # the hand comes free by at most its offset
             measured.append(off_center(length))

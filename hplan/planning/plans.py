@@ -80,7 +80,7 @@ def with_reuse(before: Motion | None, solve: Solver) -> Solver:
     """
 
     def plans(problem: Problem, found: Iterator[Plan]) -> Iterator[Plan]:
-        goal = None if before is None or problem.scene.moves or problem.scene.start.is_moving else _goal(problem)
+        goal = None if before is None or problem.scene.moves or problem.scene.start.is_moving else goal_of(problem)
         kept = reuse_motion(goal, before) if isinstance(goal, Problem) and before is not None else None
         yield from found if kept is None else (Plan(kept),)
 
@@ -104,7 +104,7 @@ def plans_from_rest(problem: Problem) -> Iterator[Plan]:
         TimeIsUpError: The deadline has passed.
         HplanError: No plan was found; as in `hplan.planning.plan.plan`.
     """
-    goal = _goal(problem)
+    goal = goal_of(problem)
     if isinstance(goal, Target):
         yield from _to_target(problem, goal)
         return
@@ -114,7 +114,7 @@ def plans_from_rest(problem: Problem) -> Iterator[Plan]:
         raise failures.as_one() from None
 
 
-def _goal(problem: Problem) -> Problem | Target:
+def goal_of(problem: Problem) -> Problem | Target:
     """The problem with its goal configurations; or the target to approach."""
     scene, world, start = problem.scene, problem.world, problem.start
     goal = scene.goal

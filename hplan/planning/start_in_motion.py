@@ -1,9 +1,10 @@
 """Plans from a start in motion: blended, or stopped first.
 
-A motion planned from the current configuration at rest is blended with the initial state of motion and optimized with
-its timing (`hplan.optimization.minimize_time`). If this fails or does not apply, the arm stops as quickly as is
-collision-free, each joint on its own or on the path of the running motion, and a plan continues from there. Position,
-velocity and acceleration are continuous at the initial state either way.
+The fastest motion in free space (`hplan.optimization.arrival`) is the plan if it is certified. Otherwise a motion
+planned from the current configuration at rest is blended with the initial state of motion and optimized with its timing
+(`hplan.optimization.minimize_time`). If this fails or does not apply, the arm stops as quickly as is collision-free,
+each joint on its own or on the path of the running motion, and a plan continues from there. Position, velocity and
+acceleration are continuous at the initial state in all cases.
 """
 
 from __future__ import annotations
@@ -18,11 +19,21 @@ from hplan.base.arrays import frozen
 from hplan.certificate.certificate import LIMIT_TOLERANCE, Certificate, all_of
 from hplan.certificate.goal_contact import REST
 from hplan.certificate.start_state import start_state
-from hplan.errors import ConfigurationInCollisionError, HplanError, OptionError, UnavoidableContactError
+from hplan.errors import (
+    ConfigurationInCollisionError,
+    HplanError,
+    NoPathError,
+    NotFoundError,
+    ObstacleInTimeError,
+    OptionError,
+    UnavoidableContactError,
+)
+from hplan.optimization.arrival import fastest_arrival
 from hplan.optimization.minimize_time import TimedMotion, minimize_time
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import RESTING, BoundaryState, TimedSpline, even_breaks
-from hplan.planning.motion import Plan, Solver, best_of, certificate_of, motion_limits, time_problem
+from hplan.planning.motion import Motion, Plan, Solver, best_of, certificate_of, motion_limits, time_problem
+from hplan.planning.plans import goal_of
 from hplan.planning.problem import Problem
 from hplan.planning.stages import stage
 from hplan.robot.limits import Limits, least_duration_between
@@ -76,6 +87,11 @@ def _plans_in_motion(problem: Problem, state: BoundaryState, solve: Solver, stop
         try:
             # A motion to joints is certified once it is blended: its start, from rest, is a draft.
             is_draft = problem.scene.goal.has_joints and problem.scene.wood is None
+            goal = goal_of(problem) if is_draft else None
+            direct = _move_directly(goal, state) if isinstance(goal, Problem) else None
+            if direct is not None:
+                yield Plan(direct)
+                return
             planned = solve(replace(problem, is_draft=is_draft))
             for plan in planned if options.deadline_s is not None else [best_of(planned)]:
                 blended = _blend_start(plan, state)
@@ -90,6 +106,8 @@ def _plans_in_motion(problem: Problem, state: BoundaryState, solve: Solver, stop
             return
 
     def plan_onward(stopped: Trajectory, certificate: Certificate) -> Plan:
+        if failure is not None and _is_out_of_reach(failure):
+            raise failure
         planned = solve(replace(problem, start=stopped.position[-1]))
         return _stopping_first(stopped, certificate, next(planned) if problem.effort.at_once else best_of(planned))
 
@@ -129,12 +147,17 @@ def _blend_start(plan: Plan, state: BoundaryState) -> Plan | None:
     if transit.samples == 1:
         return None
     ends = state, BoundaryState.of_row(transit, -1)
+    is_from_rest = np.abs(transit.velocity[0]).max() <= REST
+    if is_from_rest and not plan.transit.problem.is_draft and np.abs(ends[1].velocity).max() <= REST:
+        direct = _move_directly(problem, state)
+        if direct is not None:
+            return replace(plan, transit=direct)
     with stage("timing"):
         program = _admitting(time_problem(problem, transit, ends, plan.transit.near), state)
         program = _with_constant_sway(program, transit)
         effort = problem.effort.begun
         start: TimedMotion = transit
-        if np.abs(transit.velocity[0]).max() > REST:
+        if not is_from_rest:
             pieces = effort.levels[0].pieces_of(transit.duration, problem.options.rate_hz)
             if pieces < 2 * RESTING:
                 return None
@@ -145,13 +168,31 @@ def _blend_start(plan: Plan, state: BoundaryState) -> Plan | None:
     if spline is None:
         return None
     trajectory = spline.trajectory(problem.robot.dynamics, problem.options.rate_hz)
-    certificate = certificate_of(problem, trajectory, rest_to_rest=False)
+    certificate = certificate_of(problem, trajectory, rest_to_rest=False, measured=False)
     if not certificate.verified:
         return None
     blended = replace(
         plan.transit, trajectory=trajectory, certificate=certificate, problem=problem, path=spline.path, near=None
     )
     return replace(plan, transit=blended)
+
+
+def _move_directly(problem: Problem, state: BoundaryState) -> Motion | None:
+    """The fastest motion in free space from a state to the goal, if it is certified."""
+    options = problem.options
+    with stage("timing"):
+        spline = fastest_arrival(state, problem.goal, motion_limits(problem), options.rate_hz)
+        if spline is None:
+            return None
+        trajectory = spline.trajectory(problem.robot.dynamics, options.rate_hz)
+        program = _with_constant_sway(time_problem(problem, trajectory, near=problem.field), trajectory)
+        if not program.is_clear(spline):
+            return None
+    certificate = certificate_of(problem, trajectory, rest_to_rest=False, measured=False)
+    if not certificate.verified:
+        return None
+    waypoints = frozen(np.stack([problem.start, problem.goal]))
+    return Motion("transit", trajectory, certificate, problem, waypoints, spline.path, "direct")
 
 
 def _slow_down(motion: Trajectory, state: BoundaryState, limits: Limits) -> Trajectory:
@@ -234,6 +275,8 @@ def after_stop(
         try:
             plan = onward(motion, certificate)
         except HplanError as error:
+            if _is_out_of_reach(error):
+                raise
             failure = failure or error.with_traceback(None)
             continue
         if plan is not None:
@@ -245,6 +288,11 @@ def after_stop(
     raise UnavoidableContactError(
         certificate.violations, len(tried), clearance if np.isfinite(clearance) else None, best
     )
+
+
+def _is_out_of_reach(error: HplanError) -> bool:
+    """True if the search found no path to the goal, whatever the time: nor would it from another stop."""
+    return isinstance(error, NoPathError | NotFoundError) and not isinstance(error, ObstacleInTimeError)
 
 
 def stops(robot: Robot, state: BoundaryState, period: float, given: StopMaker | None) -> Iterator[Trajectory]:

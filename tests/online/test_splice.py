@@ -11,14 +11,25 @@ from spliced import assert_goes_on
 
 from hplan.certificate.certificate import certify
 from hplan.certificate.digests import Digests
-from hplan.errors import InputError, NotInTimeError, NotOnMotionError, OptionError, RunningMotionBlockedError
+from hplan.errors import (
+    CertificationError,
+    InputError,
+    NotFoundError,
+    NotInTimeError,
+    NotOnMotionError,
+    ObstacleInTimeError,
+    OptionError,
+    RunningMotionBlockedError,
+)
 from hplan.online.planner import Planner
 from hplan.online.splice import SplicedResult
 from hplan.planning import start_in_motion
 from hplan.planning.options import PlanOptions
+from hplan.planning.problem import Problem
 from hplan.planning.result import PlanResult
+from hplan.robot.limits import least_duration_between
 from hplan.robot.model import Robot
-from hplan.scene.model import Goal, Scene
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
 from hplan.trajectory.trajectory import Trajectory
 
@@ -161,7 +172,8 @@ def test_arm_need_not_stop_for_tracking_errors_that_grow_with_velocity(robot, de
 
 
 def test_without_a_blend_the_arm_stops_on_its_path_first(robot, monkeypatch):
-    monkeypatch.setattr(start_in_motion, "_blend_start", lambda plan, state: None)
+    for name in ("_move_directly", "_blend_start"):
+        monkeypatch.setattr(start_in_motion, name, lambda plan, state: None)
     planner, before = a_planner(robot, tracking_error=1e-4, tracking_delay_s=1e-3)
     planner.aim(goal=BACK)
     result = planner.replan(at=0.4, now=0.3)
@@ -172,6 +184,46 @@ def test_without_a_blend_the_arm_stops_on_its_path_first(robot, monkeypatch):
     np.testing.assert_allclose(
         result.trajectory.position[seam : seam + rows], stop.position[100 : 100 + rows], rtol=0, atol=1e-12
     )
+
+
+def test_free_way_is_the_fastest_motion_of_the_joints(robot):
+    planner, before = a_planner(robot)
+    planner.aim(goal=Goal(joints_deg=(-60.0, 50.0, 30.0, 30.0)))
+    result = planner.replan(at=0.4, now=0.3)
+    assert_spliced(robot, planner.scene, before, result)
+    assert result.motion.origin == "direct"
+    q, velocity, _ = before.trajectory.state_at(result.begins_s + result.seam_s)
+    speeds = velocity, np.zeros(robot.dof)
+    turn = planner.scene.goal.configuration - q
+    least_s = least_duration_between(turn, speeds, robot.velocity_limit, robot.acceleration_limit).max()
+    assert least_s <= result.trajectory.duration - result.seam_s <= least_s + 0.12
+
+
+@pytest.mark.parametrize(
+    ("errors", "searches"),
+    [
+        ([NotFoundError(["trees"])], {1}),
+        ([CertificationError("the motion is not certified"), NotFoundError(["trees"])], {2}),
+        ([ObstacleInTimeError("ball", 1.0, ["waiting"])], range(3, 20)),
+    ],
+)
+def test_path_that_is_not_found_is_searched_once(robot, monkeypatch, errors, searches):
+    """Not again from the end of each stop, unless the time matters."""
+    searched = []
+
+    def solve(problem):
+        searched.append(problem.start)
+        raise errors[min(len(searched), len(errors)) - 1]
+
+    planner, before = a_planner(robot)
+    monkeypatch.setattr(start_in_motion, "_move_directly", lambda problem, state: None)
+    q, velocity, acceleration = (tuple(values.tolist()) for values in before.trajectory.state_at(0.4))
+    start = Start(joints_rad=q, velocity_rad_s=velocity, acceleration_rad_s2=acceleration)
+    scene = planner.scene.copy_unchecked({"start": start})
+    problem = Problem.from_scene(robot, scene, planner.options)
+    with pytest.raises(type(errors[0])):
+        list(start_in_motion.from_motion(solve)(problem))
+    assert len(searched) in searches
 
 
 def test_to_a_fruit_and_on(robot):

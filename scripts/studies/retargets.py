@@ -117,6 +117,7 @@ class Follower:
         splices: Number of plans by outcome.
         stop_ms: CPU time of each `Planner.aim` of the moving arm [ms].
         splice_ms: CPU time of each new motion of the moving arm [ms].
+        refusal_ms: CPU time until no new motion was found for the moving arm [ms].
         to_better: Durations of splices relative to another planner's.
     """
 
@@ -137,7 +138,7 @@ class Follower:
         self._coming: tuple[PlanResult, int] | None = None
         self.counts = dict.fromkeys(("retargets", "refused", "resting"), 0)
         self.splices = Counter[str]()
-        self.stop_ms, self.splice_ms, self.to_better = list[float](), list[float](), list[float]()
+        self.stop_ms, self.splice_ms, self.refusal_ms, self.to_better = (list[float]() for _ in range(4))
 
     def positions(self, clock: FloatArray) -> FloatArray:
         """(n, dof) positions at (n,) times [s], as long as nothing else is decided."""
@@ -221,7 +222,7 @@ class Follower:
         planner.last = before
         is_kept = getattr(found, "is_kept", False)
         if is_moving and not is_kept:
-            self.splice_ms.append(took_ms)
+            (self.refusal_ms if isinstance(found, HplanError) else self.splice_ms).append(took_ms)
             self._compare(found, before, at, now)
         known = number + math.ceil(1e-3 * took_ms / world.tick_s)
         is_late = known + world.lag > number + world.ahead or isinstance(found, NotInTimeError)
@@ -273,7 +274,7 @@ def _row(config: StudyConfig, problem: tuple[str, int]) -> Row:
         world.crowd.advance(ticks * world.tick_s)
     row: Row = {"name": world.scene.name, "arm": world.robot.name, "kind": [kind, f"{kind}, {world.robot.name}"]}
     row |= arm.counts | _judged(world, np.concatenate(done))
-    for key in ("splices", "stop_ms", "splice_ms", "to_better"):
+    for key in ("splices", "stop_ms", "splice_ms", "refusal_ms", "to_better"):
         row[key] = getattr(arm, key)
     if len(world.goals) == 1:
         row |= {"success": target_s is not None and row["contacts"] + row["struck_at_rest"] == 0, "target_s": target_s}
@@ -457,6 +458,7 @@ RETARGETS = Study(
         "resting",
         "stop_ms",
         "splice_ms",
+        "refusal_ms",
         "to_better",
         "contacts",
         "struck_at_rest",

@@ -257,9 +257,11 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
         trust = max(trust, _FAR_TRUST)
     for _ in range(level.steps):
         step = _step(spline, problem, trust, (_NEAR * level.gain, _OF_STEP))
-        trust = trust * _SHRINK if step is None or step.part < 1.0 else min(trust / _SHRINK, level.trust)
-        stalled += step is None or step.part <= _STALLED
-        if step is not None:
+        if step is None:
+            break  # with a smaller trust region there is no solution either
+        trust = trust * _SHRINK if step.part < 1.0 else min(trust / _SHRINK, level.trust)
+        stalled += step.part <= _STALLED
+        if step.part > 0.0:
             if level.is_brief and step.part == 1.0 and abs(step.time_scale - 1.0) < level.gain:
                 return step.spline  # the limits are restored as pieces meet at samples
             time_scale = problem.time_scale(step.spline)
@@ -335,11 +337,11 @@ def _on_rows(spline: TimedSpline, problem: TimeProblem, level: Level) -> TimedSp
         near = TimedSpline.approximate(slower.positions, breaks, problem.ends)
         accuracy = 0.5 * KEPT if level.is_brief else _EXACT
         step = _step(near, problem, trust, (accuracy, 0.0), on_rows=True)
-        if step is None and problem.sway is not None and found is None:
+        if step is None or step.part == 0.0:
+            if problem.sway is None or found is not None:
+                break
             rows = math.ceil(rows * _REPAIRED)
             continue
-        if step is None:
-            break
         spline, time_scale = step.spline, problem.time_scale(step.spline)
         kept = 1e-6 if spline.ends is None else KEPT
         over = problem.torque_scale(spline) if time_scale <= 1.0 + kept else 1.0
@@ -363,7 +365,7 @@ class _Step(NamedTuple):
 
     Attributes:
         spline: The motion.
-        part: Fraction of the step that was taken.
+        part: Fraction of the step that was taken; 0 if no tried fraction is collision-free.
         time_scale: Time scale of the program's solution.
     """
 
@@ -377,7 +379,7 @@ def _step(
 ) -> _Step | None:
     """Optimal step, or the largest collision-free fraction of it.
 
-    None if the program has no solution or no tried fraction is collision-free.
+    None if the program has no solution.
 
     A step may lead into contact between the sample points of the program, or because clearances are not linear. Then
     rows that cut off this step are added, once (compare Hettich and Kortanek 1993, "Semi-infinite programming").
@@ -414,7 +416,7 @@ def _step(
         )
         for part in parts
     )
-    return next((step for step in tried if problem.is_clear(step.spline)), None)
+    return next((step for step in tried if problem.is_clear(step.spline)), _Step(spline, 0.0, time_scale))
 
 
 def _apply_step(spline: TimedSpline, change: FloatArray, time_scale: float) -> TimedSpline:

@@ -13,6 +13,7 @@ from scipy.interpolate import BSpline
 from scipy.optimize import linprog
 
 import hplan
+import hplan.optimization.minimize_time as minimize_time_module
 from hplan.base.arrays import FloatArray
 from hplan.base.deadline import NEVER
 from hplan.certificate.limit_use import limit_use
@@ -414,3 +415,18 @@ def test_rows_that_cannot_be_active_are_left_out(tmp_path_factory: pytest.TempPa
         assert kept.items() <= whole.items()
         assert 0 < len(kept) < len(whole)
         assert all(largest * trust <= side for key, (side, largest) in whole.items() if key not in kept)
+
+
+def test_level_ends_at_a_program_without_a_solution(task: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A smaller trust region admits no more; steps that lead into contact are tried again within one."""
+    solve, solved = TimeProblem.solve, list[object]()
+    monkeypatch.setattr(TimeProblem, "solve", lambda *program: solved.append(None))
+    assert rough_motion(bent(task, 1), problem_of(task), EFFORT) is None
+    assert len(solved) == 1
+    solved.clear()
+    monkeypatch.setattr(TimeProblem, "solve", lambda *program: solved.append(None) or solve(*program))
+    monkeypatch.setattr(TimeProblem, "cuts", lambda *step: ProgramRows(*np.zeros((6, 0))))
+    monkeypatch.setattr(TimeProblem, "is_clear", lambda *motion: False)
+    monkeypatch.setattr(minimize_time_module, "with_rows", lambda rows, more: rows)
+    assert rough_motion(bent(task, 1), problem_of(task), EFFORT) is None
+    assert len(solved) == 2 * 2

@@ -133,6 +133,27 @@ def segment_of(placed: TableArray, b: int) -> tuple[Vector, Vector]:
 
 
 @kernel
+def is_box_beyond(solids: TableArray, s: int, off: Vector, reach: float) -> bool:
+    """True if a box is farther from a point than `reach` [m]; False for other primitives.
+
+    Long and flat boxes fill little of their bounding balls.
+
+    Args:
+        off: The point relative to the box's centre.
+    """
+    solid = solids[s]
+    if solid.kind != row.BOX:
+        return False
+    axes, half = solid.axes, solid.half
+    x = max(0.0, abs(axes[0] * off[0] + axes[1] * off[1] + axes[2] * off[2]) - half[0])
+    y = max(0.0, abs(axes[3] * off[0] + axes[4] * off[1] + axes[5] * off[2]) - half[1])
+    z = max(0.0, abs(axes[6] * off[0] + axes[7] * off[1] + axes[8] * off[2]) - half[2])
+    square, reach = x * x + y * y + z * z, reach + solid.radius
+    beyond: bool = square > max(0.0, reach) * reach
+    return beyond
+
+
+@kernel
 def off_row(placed: TableArray, b: int, solids: TableArray, s: int) -> Shown:
     """Vector from a primitive (point, segment, box) to a body's axis segment.
 
@@ -214,6 +235,9 @@ def _body_clearance(arm: BodyArrays, b: int, enough: float) -> float:
         kind = solid.kind
         if not within > 0.0 or dx * dx + dy * dy + dz * dz > within * within:
             following = solid.next if kind >= row.NODE else s + 1
+            continue
+        if is_box_beyond(solids, s, (-dx, -dy, -dz), least + ball):
+            following = s + 1
             continue
         following = s + 1
         if kind == row.JOINT_RANGE:

@@ -34,6 +34,7 @@ from hplan.collision.compiled_clearance import (
     NO_TABLE,
     BodyArrays,
     difference,
+    is_box_beyond,
     is_thin,
     off_body,
     off_row,
@@ -135,6 +136,7 @@ def part_shown_clear(q: FloatArray, rates: FloatArray, moving: Moving, back: flo
                     if (
                         dx * dx + dy * dy + dz * dz <= within * within
                         and point_segment(centre, start, along) <= axis + around
+                        and not is_box_beyond(solids, s, (-dx, -dy, -dz), lasts + ball)
                     ):
                         part = _of_body(moving, k, s, part)
                         break
@@ -261,6 +263,9 @@ def _of_body(moving: Moving, b: int, first: int, part: Part) -> Part:
         within = enough + ball + solid.bound
         if dot(away, away) > within * within:
             following = solid.next if kind >= row.NODE else s + 1
+            continue
+        if is_box_beyond(solids, s, away, enough + ball):
+            following = s + 1
             continue
         following = s + 1
         before = part

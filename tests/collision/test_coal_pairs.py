@@ -15,8 +15,8 @@ from hplan.collision import coal_arm, coal_boxes
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import capsule_shapes, solid_shape
 from hplan.collision.compiled_bodies import joint_table
-from hplan.collision.compiled_clearance import off_body, off_row
-from hplan.collision.compiled_obstacles import BOX, OBSTACLE
+from hplan.collision.compiled_clearance import is_box_beyond, off_body, off_row
+from hplan.collision.compiled_obstacles import BOX, HULL, OBSTACLE
 from hplan.collision.compiled_placements import PLACED
 from hplan.errors import RobotFileError
 from hplan.geometry.cloud import Cloud
@@ -70,6 +70,22 @@ def test_what_vectors_from_boxes_show_is_their_distance(a, u, half, seed):
     assert np.linalg.norm(off) == pytest.approx(expected, abs=1e-7)
     assert shown <= expected + 1e-12
     assert expected < 1e-6 or shown == pytest.approx(expected, abs=1e-7)
+
+
+@settings(max_examples=300)
+@given(vector, st.tuples(*[st.floats(0.01, 2.0)] * 3), st.floats(0.0, 0.5), st.floats(-1.0, 3.0), st.integers(0, 9999))
+def test_boxes_beyond_the_reach_of_a_point_are_told(point, half, radius, reach, seed):
+    point, half = np.array(point, dtype=float), np.array(half)
+    turn, solid = rpy_rotation(*np.random.default_rng(seed).uniform(-3.0, 3.0, 3)), np.zeros(1, OBSTACLE)
+    solid["kind"], solid["half"], solid["axes"], solid["radius"] = BOX, half, turn.ravel(), radius
+    apart = np.linalg.norm(np.maximum(np.abs(point) - half, 0.0))
+    if abs(apart - reach - radius) > 1e-9:
+        expected = apart > max(0.0, reach + radius)
+        assert (
+            is_box_beyond(solid, 0, tuple((point @ turn).tolist()), reach) == expected
+        )  # rows of `turn`: axes of the box
+    solid["kind"] = HULL
+    assert not is_box_beyond(solid, 0, tuple((point @ turn).tolist()), reach)
 
 
 def many(rng, copies=40):

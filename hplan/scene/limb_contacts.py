@@ -1,6 +1,6 @@
 r"""Solids of limbs and fruit that bend: their parts with permitted depths, and what contacts with them do.
 
-Permitted depths follow from `hplan.scene.limb_parts` and `hplan.scene.limb_depths`.
+Permitted depths follow from `hplan.scene.limb_parts`, `hplan.scene.limb_depths` and `hplan.scene.fruit_depths`.
 
 **Impact.** A link that meets a limb with the speed v exerts at most about :math:`v Z` in addition, with the impedance
 of a beam at the frequency at which it equals that of the contact's spring k (Cremer, Heckl and Petersson, Structure-
@@ -17,11 +17,13 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray
 from hplan.scene.fruit import Fruit
+from hplan.scene.fruit_depths import permitted_fruit_contacts
 from hplan.scene.hanging_point import HangingPoint
-from hplan.scene.limb_depths import permitted_contacts
-from hplan.scene.limb_parts import Pushables, divide_limbs, hanging_fruits
+from hplan.scene.limb_depths import permitted_limb_contacts
+from hplan.scene.limb_parts import Pushables, divide_limbs, hanging_fruits, pendulum_stiffness
 from hplan.scene.limbs import Limbs
-from hplan.scene.obstacle_kind import ContactLimit, Solid
+from hplan.scene.limits import Size, Vector
+from hplan.scene.obstacle_kind import ContactLimit, Convex, Name, Sigma, Solid
 from hplan.scene.obstacles import Capsule, Obstacle, Sphere
 from hplan.scene.wood import DAMPING_RATIO, GRAVITY, IMPACT_FACTOR, MOST_SWING, Wood, limits_by_segment
 
@@ -48,9 +50,6 @@ def contact_solids(
     key = len(fruits), wood
     return _kept(_KNOWN_SOLIDS, (*obstacles, *fruits), key, lambda: _contact_solids(obstacles, fruits, wood))
 
-
-#: Parts are copies of this capsule: a checked one takes ten times as long.
-_TEMPLATE: Final = Capsule(name="part", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, 1.0), radius=1.0)
 
 #: Kept results by the identities of obstacles and fruits; they hold these, so that no id is used for another object.
 _Kept: TypeAlias = dict[tuple[tuple[int, ...], Hashable], tuple[Any, _T]]
@@ -96,10 +95,12 @@ def _contact_solids(obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood
     limits, slowest = limits_by_segment(limbs, wood), dict[int, float]()
     for segment, rate in zip(hanging.segment.tolist(), decays, strict=True):
         slowest[roots[segment]] = min(rate, slowest.get(roots[segment], math.inf))
-    for pushables in (divide_limbs(limbs, wood), hanging):
-        table = permitted_contacts(pushables, limbs, hanging, stiff, wood)
-        extension = table.extension[:, None] * pushables.stiff_axis
-        starts, ends = (pushables.start - extension).tolist(), (pushables.end + extension).tolist()
+    parts, stiffness = divide_limbs(limbs, wood), pendulum_stiffness(hanging).tolist()
+    tables = (
+        permitted_limb_contacts(parts, limbs, hanging, stiff, wood),
+        permitted_fruit_contacts(hanging, limbs, stiff, wood),
+    )
+    for pushables, table in zip((parts, hanging), tables, strict=True):
         for row, name in enumerate(pushables.names):
             depth, segment = float(table.depth[row]), int(pushables.segment[row])
             low, high = pushables.along[row].tolist()
@@ -107,7 +108,8 @@ def _contact_solids(obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood
             point, decay, most_force = None, slowest.get(roots[segment], math.inf), float(limits.force[segment])
             modulus = float(limits.softest[segment]), float(limits.stiffest[segment])
             if swing > 0.0:
-                pendulum = _pendulum_compliance(pushables, row)
+                stalk = pushables.stiff_axis[row]
+                pendulum = (np.eye(3) - np.outer(stalk, stalk)) / stiffness[row]
                 point = HangingPoint(limbs, segment, low, pendulum, modulus)
                 decay, most_force = decays[row], wood.of(name).fruit_force
             limit = ContactLimit(
@@ -116,16 +118,48 @@ def _contact_solids(obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood
                 most_force, float(limits.stress[segment]), point, decay, wood.capture_range,
                 float(table.pressed[row]), float(pushables.mass[row]), table.roots[row], table.fruits[row],
             )  # fmt: skip
-            solid = _TEMPLATE.copy_unchecked({
-                "name": name, "start": tuple(starts[row]), "end": tuple(ends[row]),
-                "radius": float(pushables.radius[row]), "sigma": whole[name].sigma, "yields": depth,
-            })  # fmt: skip
+            given = {"name": name, "radius": float(pushables.radius[row]), "sigma": whole[name].sigma, "yields": depth}
+            solid = _solid_about(table.cores[row], given)
             found.setdefault(name, (whole[name].met_by("others"),))
             found[name] += (solid.met_by("pushing", limit),)
     for name, solids in found.items():
         if not any(solid.yields for solid in solids):  # rigid, whatever hangs from it
             found[name] = as_rigid(solids)
     return found
+
+
+class RoundedHull(Convex):
+    """The hull of some points, grown by a radius.
+
+    Attributes:
+        name: Name of the limb or fruit.
+        points: The points [m].
+        radius: The radius [m].
+        sigma: Standard deviation of each coordinate of its position [m].
+    """
+
+    name: Name
+    points: tuple[Vector, ...]
+    radius: Size
+    sigma: Sigma = 0.0
+
+    @property
+    def core(self) -> FloatArray:
+        """(k, 3) the points [m]."""
+        return np.array(self.points)
+
+    @property
+    def rounding(self) -> float:
+        """The radius [m]."""
+        return self.radius
+
+
+def _solid_about(core: FloatArray, given: dict[str, Any]) -> Convex:
+    """Solid about the hull of (n, 3) core points [m], with fields that are given."""
+    points = [tuple(point) for point in core.tolist()]
+    if len(points) == 2:
+        return _PART.copy_unchecked(given | {"start": points[0], "end": points[1]})
+    return _HULL.copy_unchecked(given | {"points": tuple(points)})
 
 
 def as_rigid(solids: tuple[Solid, ...]) -> tuple[Solid, ...]:
@@ -152,12 +186,9 @@ def _decay_rates(limbs: Limbs, hanging: Pushables, wood: Wood) -> list[float]:
     return found
 
 
-def _pendulum_compliance(hanging: Pushables, row: int) -> FloatArray:
-    """(3, 3) compliance of a fruit on its stalk [m/N]; the secant one at the maximum swing."""
-    stalk, arm = hanging.stiff_axis[row], float(hanging.depth[row]) / MOST_SWING
-    stiffness = GRAVITY * float(hanging.mass[row]) / (arm * math.sqrt(1.0 - MOST_SWING**2))
-    found: FloatArray = (np.eye(3) - np.outer(stalk, stalk)) / stiffness
-    return found
+#: Solids are copies of these: checked ones take ten times as long.
+_PART: Final = Capsule(name="part", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, 1.0), radius=1.0)
+_HULL: Final = RoundedHull(name="hull", points=((0.0, 0.0, 0.0),), radius=1.0)
 
 
 def _impact(

@@ -108,6 +108,28 @@ class Pushables(NamedTuple):
         return Pushables(**fields)
 
 
+class PermittedContacts(NamedTuple):
+    """Permitted depth of each pushable, and what it does.
+
+    Attributes:
+        depth: (k,) permitted depth [m].
+        cores: (n, 3) points of each [m]: links that push keep clear of their hull, grown by the radius minus the depth.
+        force: (k,) static force at that depth [N].
+        pressed: (k,) the part of it by neighbours [N].
+        stress: (k,) static stress of the limb at that depth [Pa].
+        roots: The roots of neighbours' limbs, of each pushable.
+        fruits: The names of neighbouring fruit, of each pushable.
+    """
+
+    depth: FloatArray
+    cores: list[FloatArray]
+    force: FloatArray
+    pressed: FloatArray
+    stress: FloatArray
+    roots: list[frozenset[int]]
+    fruits: list[frozenset[str]]
+
+
 def divide_limbs(limbs: Limbs, wood: Wood) -> Pushables:
     """Divide the limb segments that bend into parts of nearly even compliance."""
     numbers = np.flatnonzero(~limbs.clamped)
@@ -187,6 +209,13 @@ def hanging_fruits(fruits: Sequence[Fruit], limbs: Limbs, wood: Wood) -> Pushabl
     arrays = [np.array(column, dtype=np.float64) for column in columns[2:]]
     arrays[5] = arrays[5].swapaxes(0, 1)
     return Pushables(columns[0], np.array(columns[1], dtype=np.int64), *arrays)
+
+
+def pendulum_stiffness(hanging: Pushables) -> FloatArray:
+    """(k,) force per deflection of fruit on their stalks; the secant one at the maximum swing [N/m]."""
+    length = hanging.depth / MOST_SWING
+    found: FloatArray = GRAVITY * hanging.mass / (length * math.sqrt(1.0 - MOST_SWING**2))
+    return found
 
 
 def depth_and_extension(pushables: Pushables) -> tuple[FloatArray, FloatArray]:

@@ -102,13 +102,16 @@ def permitted_fruit_contacts(hanging: Pushables, limbs: Limbs, stiff: Sequence[S
     pendulums = [Pendulum(*values) for values in zip(*columns, strict=True)]
     across = dict[int, FloatArray]()
     for row, mine in near.items():
-        push = deepest_push(pendulums[row], _with_springs(row, mine, near, pendulums))
+        springs, behind = _with_springs(row, mine, near, pendulums)
+        push = deepest_push(pendulums[row], springs)
         depth[row] = push.depth
         if push.reached.any():
             per_depth[row], pressed[row] = stiffness[row], stiffness[row] * push.depth
             across[row] = push.corners
-            roots[row] = frozenset(mine.root[push.reached & (mine.root >= 0)].tolist())
-            fruits[row] = frozenset(hanging.names[number] for number in mine.fruit[push.reached & (mine.fruit >= 0)])
+            moved = [mine.at(push.reached), *(each for at, each in behind.items() if push.reached[at])]
+            root, fruit = (np.concatenate([getattr(each, name) for each in moved]) for name in ("root", "fruit"))
+            roots[row] = frozenset(root[root >= 0].tolist())
+            fruits[row] = frozenset(hanging.names[number] for number in fruit[(fruit >= 0) & (fruit != row)].tolist())
     depth[depth < LEAST_DEPTH_M] = 0.0
     along = (extension * depth)[:, None] * hanging.stiff_axis
     cores = list(np.stack([hanging.start - along, hanging.end + along], axis=1))
@@ -124,7 +127,7 @@ _FARTHEST: Final = math.hypot(1.0, 0.5)
 
 def _with_springs(
     row: int, mine: Neighbours, near: Mapping[int, Neighbours], pendulums: Sequence[Pendulum]
-) -> Neighbours:
+) -> tuple[Neighbours, dict[int, Neighbours]]:
     """The neighbours of a fruit, in which other fruit are springs as far as their own neighbours let them move.
 
     These are stopped by all fruit next to them, except for the one that pushes them.
@@ -134,18 +137,21 @@ def _with_springs(
         mine: Its neighbours.
         near: The neighbours of all fruit that have any.
         pendulums: All fruit.
+
+    Returns:
+        The neighbours, and those of each that is a fruit, by their places.
     """
-    stiffness, room = mine.stiffness.copy(), mine.depth.copy()
+    stiffness, room, behind = mine.stiffness.copy(), mine.depth.copy(), dict[int, Neighbours]()
     for at in np.flatnonzero(mine.fruit >= 0).tolist():
         other = int(mine.fruit[at])
         others = near[other] if other in near else mine.at(np.zeros(0, dtype=np.int64))
         others = others.at(others.fruit != row)
         others = others._replace(stiffness=np.where(others.fruit >= 0, np.inf, others.stiffness))
         push = deepest_push(pendulums[other], others, mine.direction[at])
-        room[at] = push.permitted_depth(mine.direction[at])
+        behind[at], room[at] = others, push.permitted_depth(mine.direction[at])
         is_firm = room[at] < LEAST_DEPTH_M
         stiffness[at] = np.inf if is_firm else pendulums[other].stiffness * push.depth / room[at]
-    return mine._replace(stiffness=stiffness, depth=room)
+    return mine._replace(stiffness=stiffness, depth=room), behind
 
 
 class Pendulum(NamedTuple):

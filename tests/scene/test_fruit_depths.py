@@ -91,6 +91,13 @@ def test_a_fruit_is_not_pushed_against_one_that_is_stopped_itself() -> None:
     assert away >= 0.8 * part.yields > 0.02
 
 
+def test_fruit_behind_a_pushed_neighbour_may_be_displaced() -> None:
+    behind = Fruit(name="behind", center=(0.53, 0.0, 0.935), radius=0.03, hangs_from="limb")
+    limit = contact_solids((TRUNK, LIMB), (APPLE, OTHER, behind), Wood())["apple"][-1].contact_limit
+    assert limit is not None
+    assert limit.fruits == {"other", "behind"}
+
+
 def test_a_fruit_between_walls_moves_by_the_gap() -> None:
     stalk, both = np.array([0.0, 0.0, -1.0]), np.full(3, -1)
     angles = np.radians([0.0, 120.0, 240.0])

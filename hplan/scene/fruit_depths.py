@@ -211,7 +211,7 @@ def push_among(fruit: Pendulum, depth: float, near: Neighbours) -> FruitPush:
     is_known = np.linalg.norm(near.direction, axis=1) > 0.5
     sine = depth / fruit.length
     rise = sine / (1.0 + math.sqrt(1.0 - sine**2))
-    farthest = np.where(is_known, sideways + rise * above, 1.0) * depth
+    farthest = np.where(is_known, sideways + rise * above, math.hypot(1.0, rise)) * depth
     reached = farthest > near.gap
     if not reached.any():
         return FruitPush(depth, depth * _ENDS * fruit.stalk, reached, depth)

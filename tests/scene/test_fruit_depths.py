@@ -82,6 +82,16 @@ def test_a_fruit_that_rests_against_a_wall_may_be_pushed_away_and_past_it() -> N
     assert (towards, past, away) == pytest.approx((0.0, 0.04, 0.04), abs=1e-12)
 
 
+def test_a_fruit_that_swings_up_is_stopped_by_a_neighbour_of_unknown_direction() -> None:
+    """It moves by more than its deflection, which is horizontal."""
+    length, none, zero = 0.05, np.array([-1]), np.zeros(1)
+    fruit, far = Pendulum(np.array([0.0, 0.0, -1.0]), length, 0.8 * length, 40.0), np.array([np.inf])
+    moved = np.hypot(fruit.depth, length - np.sqrt(length**2 - fruit.depth**2))
+    for part in (0.999, 1.001):
+        cloud = Neighbours(none, np.array([part * moved]), far, zero, far, none, none, np.zeros((1, 3)))
+        assert (deepest_push(fruit, cloud).depth == fruit.depth) == (part > 1.0)
+
+
 def test_a_fruit_is_not_pushed_against_one_that_is_stopped_itself() -> None:
     part = contact_solids((TRUNK, LIMB, POST), (APPLE, OTHER), Wood())["apple"][-1]
     assert isinstance(part, RoundedHull)

@@ -26,11 +26,15 @@ from hplan.robot.limits import Limits
 #: Minimum duration of a piece [s]. Shorter ones change the acceleration more abruptly and take longer to verify.
 _PIECE_S = 0.02
 
+#: Minimum number of pieces that are longer than this [s]: fewer take up to 1.7 times as long as a program's motion.
+_FEWEST_PIECES = 8
+_COARSE_S = 0.1
+
 
 def fastest_arrival(state: BoundaryState, goal: FloatArray, limits: Limits, rate_hz: float) -> TimedSpline | None:
     """Fastest motion from a state to rest at a goal, in free space and without torque limits.
 
-    None if it takes too long. Its pieces meet at samples.
+    None if it takes too long, or if low jerk limits leave it too few pieces. Its pieces meet at samples.
 
     Args:
         state: State at the start, within the limits.
@@ -48,7 +52,8 @@ def fastest_arrival(state: BoundaryState, goal: FloatArray, limits: Limits, rate
     rows = max(1, math.ceil(piece_s * rate_hz - 1e-9))
     task = np.stack([state.position, state.velocity, state.acceleration, goal, limits.velocity, limits.acceleration])
     rows, steps = _fastest_steps(task, rows, rate_hz, int(LONGEST_MOTION_S * rate_hz / rows))
-    if len(steps) == 0:
+    is_coarse = rows / rate_hz > _COARSE_S and len(steps) < _FEWEST_PIECES
+    if len(steps) == 0 or is_coarse:
         return None
     breaks = even_breaks(len(steps) * rows / rate_hz, len(steps))
     knots = np.concatenate([np.zeros(3), breaks, np.full(3, breaks[-1])])

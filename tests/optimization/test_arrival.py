@@ -88,3 +88,12 @@ def test_joints_at_their_goal_stay_there():
 def test_motion_that_takes_too_long():
     still, one = BoundaryState.at_rest(np.zeros(1)), np.ones(1)
     assert fastest_arrival(still, 1e4 * one, Limits(one, one), RATE_HZ) is None
+
+
+@pytest.mark.parametrize(("jerk", "is_found"), [(20.0, True), (2.0, False)])
+def test_low_jerk_limits_need_enough_pieces(jerk, is_found):
+    still, one = BoundaryState.at_rest(np.zeros(1)), np.ones(1)
+    spline = fastest_arrival(still, one, Limits(one, one, jerk=jerk * one), RATE_HZ)
+    assert (spline is not None) == is_found
+    slow = fastest_arrival(still, 100.0 * one, Limits(one, one, jerk=jerk * one), RATE_HZ)
+    assert slow.duration <= 1.1 * (100.0 + 1.0 + 1.0 / jerk)

@@ -4,7 +4,7 @@ A contact of the depth d with a limb exerts at most the static force f of that d
 Becoming deeper by :math:`\delta` in all, it does the work :math:`W \le \int f(d)\, dd + I \delta`. One with a fruit of
 the mass m throws it ahead as well, with at most twice the speed v of the link: it adds at most :math:`2 m v^2`. All
 contacts with limbs and fruit that share the first bending segment from the clamp add up, since these are coupled. So do
-contacts with other limbs and fruit that may be pressed against them (`hplan.scene.limb_depths`).
+contacts with other limbs and fruit that may be pressed against them (`hplan.scene.neighbours`).
 
 With the largest eigenvalue :math:`\lambda` of the compliance of limb and pendulum at the fruit, a displacement x of the
 fruit takes at least the energy :math:`|x|^2 / 2 \lambda`. Contacts that last until the grasp, swinging fruit and limbs

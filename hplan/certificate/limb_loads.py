@@ -1,6 +1,6 @@
 """Loads on limbs and fruit: whether the contacts of a motion keep the limits of force and stress.
 
-Each contact alone keeps them by its depth (`hplan.scene.limb_depths`) and speed. Several contacts at a time add up:
+Each contact alone keeps them by its depth (`hplan.scene.limb_contacts`) and speed. Several contacts at a time add up:
 
 - Contacts of one link, or of links that share a joint, are on one side of a limb. A displacement by one of them never
   increases the force that another one needs for its own, so each force is at most its depth over its compliance.

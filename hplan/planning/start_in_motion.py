@@ -291,7 +291,7 @@ def after_stop(
 
 
 def _is_out_of_reach(error: HplanError) -> bool:
-    """True if the search found no path to the goal, whatever the time: nor would it from another stop."""
+    """True if the search found no path to the goal; from another stop it would hardly find one."""
     return isinstance(error, NoPathError | NotFoundError) and not isinstance(error, ObstacleInTimeError)
 
 

@@ -93,6 +93,7 @@ def permitted_fruit_contacts(hanging: Pushables, limbs: Limbs, stiff: Sequence[S
     """
     whole, lengths = depth_and_extension(hanging)
     depth, count = np.clip(whole, 0.0, hanging.depth), len(whole)
+    depth[depth < LEAST_DEPTH_M] = 0.0
     per_depth, stiffness = hanging.force / np.maximum(whole, TINY), pendulum_stiffness(hanging)
     extension = np.divide(lengths, whole, out=np.zeros(count), where=whole > 0.0)
     pressed, roots, fruits = np.zeros(count), [frozenset[int]()] * count, [frozenset[str]()] * count
@@ -104,15 +105,14 @@ def permitted_fruit_contacts(hanging: Pushables, limbs: Limbs, stiff: Sequence[S
     for row, mine in near.items():
         springs, behind = _with_springs(row, mine, near, pendulums)
         push = deepest_push(pendulums[row], springs)
-        depth[row] = push.depth
-        if push.reached.any():
+        depth[row] = push.depth if push.depth >= LEAST_DEPTH_M else 0.0
+        if depth[row] > 0.0 and push.reached.any():
             per_depth[row], pressed[row] = stiffness[row], stiffness[row] * push.depth
             across[row] = push.corners
             moved = [mine.at(push.reached), *(each for at, each in behind.items() if push.reached[at])]
             root, fruit = (np.concatenate([getattr(each, name) for each in moved]) for name in ("root", "fruit"))
             roots[row] = frozenset(root[root >= 0].tolist())
             fruits[row] = frozenset(hanging.names[number] for number in fruit[(fruit >= 0) & (fruit != row)].tolist())
-    depth[depth < LEAST_DEPTH_M] = 0.0
     along = (extension * depth)[:, None] * hanging.stiff_axis
     cores = list(np.stack([hanging.start - along, hanging.end + along], axis=1))
     for row, corners in across.items():
@@ -231,15 +231,17 @@ def push_among(fruit: Pendulum, depth: float, near: Neighbours) -> FruitPush:
     most_force = (near.most_force[stops] * sideways)[firm].min(initial=np.inf)
     if np.isfinite(most_force) and fruit.stiffness * depth > most_force * _distance_of_hull(np.isfinite(least)):
         return never
-    radius = np.maximum(0.0, 1.0 - least)
+    length, divisor = np.where(np.isfinite(least), 1.0 - least, -np.inf), np.ones(_COUNT)
     if is_spring.any():
         is_firm = np.isfinite(_least_combination(angle[firm], tilt[firm], share[firm]))
         springs = float(near.stiffness[stops][is_spring].sum())
-        radius /= 1.0 + fruit.stiffness / springs * _sine_beyond(is_firm) ** 2
-    # Corners of chords about the arcs between two directions of neighbours.
-    following = np.roll(radius, -1)
-    arc = np.where((radius > 0.0) & (following > 0.0), np.maximum(radius, following), 0.0) / math.cos(0.5 * _STEP)
-    corner = np.maximum(radius, np.maximum(arc, np.roll(arc, 1)))
+        divisor += fruit.stiffness / springs * _sine_beyond(is_firm) ** 2
+    # Between two directions, the length is at most the larger one, and the divisor at least the smaller one. A chord
+    # about the arc has its corners in both directions.
+    following, ends = np.roll(length, -1), np.maximum(0.0, length / divisor)
+    arc = np.maximum(length, following) / np.minimum(divisor, np.roll(divisor, -1)) / math.cos(0.5 * _STEP)
+    arc = np.where(np.isfinite(length) & np.isfinite(following), np.maximum(0.0, arc), 0.0)
+    corner = np.maximum(ends, np.maximum(arc, np.roll(arc, 1)))
     lost = np.maximum(0.0, (_FAN @ (corner[:, None] * _FAN).T).max(axis=1))
     kept = np.flatnonzero(corner > 0.0)
     axes = corner[kept, None] * (_FAN[kept] @ np.stack([first, second]))

@@ -192,8 +192,12 @@ class FruitPush(NamedTuple):
 
 def deepest_push(fruit: Pendulum, near: Neighbours, direction: FloatArray | None = None) -> FruitPush:
     """The push with the largest permitted depth in a direction, or in the mean of all directions across the stalk."""
-    tried = [push_among(fruit, share * fruit.depth, near) for share in _SHARES.tolist()]
-    depths = [push.mean_depth if direction is None else push.permitted_depth(direction) for push in tried]
+    tried, depths = [FruitPush(0.0, np.zeros((0, 3)), np.zeros(len(near.gap), dtype=np.bool_), 0.0)], [0.0]
+    for depth in (_SHARES * fruit.depth).tolist():
+        if depth <= max(depths):  # nor would a smaller one permit more
+            break
+        tried.append(push_among(fruit, depth, near))
+        depths.append(tried[-1].mean_depth if direction is None else tried[-1].permitted_depth(direction))
     return tried[ties.argmax(depths)]
 
 

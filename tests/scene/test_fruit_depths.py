@@ -92,6 +92,12 @@ def test_a_fruit_that_swings_up_is_stopped_by_a_neighbour_of_unknown_direction()
         assert (deepest_push(fruit, cloud).depth == fruit.depth) == (part > 1.0)
 
 
+def test_a_fruit_that_hardly_swings_is_not_pushed() -> None:
+    fruit, near = random_case(np.random.default_rng(0))
+    push = deepest_push(fruit._replace(depth=0.0), near)
+    assert push.depth == push.permitted_depth(near.direction[0]) == 0.0
+
+
 def test_a_fruit_is_not_pushed_against_one_that_is_stopped_itself() -> None:
     part = contact_solids((TRUNK, LIMB, POST), (APPLE, OTHER), Wood())["apple"][-1]
     assert isinstance(part, RoundedHull)

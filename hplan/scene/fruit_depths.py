@@ -110,11 +110,9 @@ def permitted_fruit_contacts(hanging: Pushables, limbs: Limbs, stiff: Sequence[S
             per_depth[row], pressed[row] = stiffness[row], stiffness[row] * push.depth
             across[row] = push.corners
             moved = [mine.at(push.reached), *(each for at, each in behind.items() if push.reached[at])]
-            root, fruit = (np.concatenate([getattr(each, name) for each in moved]) for name in ("root", "fruit"))
-            roots[row] = frozenset(root[root >= 0].tolist())
-            fruits[row] = frozenset(hanging.names[number] for number in fruit[(fruit >= 0) & (fruit != row)].tolist())
-    along = (extension * depth)[:, None] * hanging.stiff_axis
-    cores = list(np.stack([hanging.start - along, hanging.end + along], axis=1))
+            roots[row] = frozenset[int]().union(*(each.limb_roots for each in moved))
+            fruits[row] = frozenset[str]().union(*(each.fruit_names(hanging) for each in moved))
+    cores = hanging.extended(extension * depth)
     for row, corners in across.items():
         cores[row] = hanging.start[row] - corners
     force = per_depth * depth

@@ -49,13 +49,10 @@ def permitted_limb_contacts(
     pushed_on = np.maximum(0.0, depth[found.pushable] - found.gap)
     pressing = np.multiply(found.stiffness, pushed_on, where=pushed_on > 0.0, out=np.zeros(len(pushed_on)))
     squeezed = np.bincount(found.pushable, pressing, count).astype(np.float64)
-    extension = np.divide(lengths * depth, whole, out=np.zeros(count), where=whole > 0.0)[:, None]
-    along = extension * pushables.stiff_axis
-    cores = list(np.stack([pushables.start - along, pushables.end + along], axis=1))
+    cores = pushables.extended(np.divide(lengths * depth, whole, out=np.zeros(count), where=whole > 0.0))
     roots, fruits = ([frozenset[Any]()] * count for _ in range(2))
     for row, mine in found.at(pushed_on > 0.0).by_pushable():
-        roots[row] = frozenset(mine.root[mine.root >= 0].tolist())
-        fruits[row] = frozenset(hanging.names[fruit] for fruit in mine.fruit[mine.fruit >= 0].tolist())
+        roots[row], fruits[row] = mine.limb_roots, mine.fruit_names(hanging)
     return PermittedContacts(depth, cores, force + squeezed, squeezed, force * pushables.stress, roots, fruits)
 
 

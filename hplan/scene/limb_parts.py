@@ -107,6 +107,11 @@ class Pushables(NamedTuple):
                 fields[name] = value[:, kept] if name == "compliance" else value[kept]
         return Pushables(**fields)
 
+    def extended(self, extension: FloatArray) -> list[FloatArray]:
+        """(2, 3) ends of each axis, extended by (k,) lengths along the stiff axis [m]."""
+        along = extension[:, None] * self.stiff_axis
+        return list(np.stack([self.start - along, self.end + along], axis=1))
+
 
 class PermittedContacts(NamedTuple):
     """Permitted depth of each pushable, and what it does.

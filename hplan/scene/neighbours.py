@@ -50,6 +50,15 @@ class Neighbours(NamedTuple):
             self.root[kept], self.fruit[kept], self.direction[kept],
         )  # fmt: skip
 
+    @property
+    def limb_roots(self) -> frozenset[int]:
+        """Roots of the neighbours' limbs."""
+        return frozenset(self.root[self.root >= 0].tolist())
+
+    def fruit_names(self, hanging: Pushables) -> frozenset[str]:
+        """Names of the neighbours that are fruit."""
+        return frozenset(hanging.names[number] for number in self.fruit[self.fruit >= 0].tolist())
+
     def by_pushable(self) -> Iterator[tuple[int, Neighbours]]:
         """Number of each pushable with neighbours, and these."""
         order = np.argsort(self.pushable, kind="stable")

@@ -236,10 +236,9 @@ def _body_clearance(arm: BodyArrays, b: int, enough: float) -> float:
         if not within > 0.0 or dx * dx + dy * dy + dz * dz > within * within:
             following = solid.next if kind >= row.NODE else s + 1
             continue
-        if is_box_beyond(solids, s, (-dx, -dy, -dz), least + ball):
-            following = s + 1
-            continue
         following = s + 1
+        if is_box_beyond(solids, s, (-dx, -dy, -dz), least + ball):
+            continue
         if kind == row.JOINT_RANGE:
             if not solid.first <= joint <= solid.last:
                 following = solid.next

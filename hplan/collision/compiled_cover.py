@@ -264,10 +264,9 @@ def _of_body(moving: Moving, b: int, first: int, part: Part) -> Part:
         if dot(away, away) > within * within:
             following = solid.next if kind >= row.NODE else s + 1
             continue
-        if is_box_beyond(solids, s, away, enough + ball):
-            following = s + 1
-            continue
         following = s + 1
+        if is_box_beyond(solids, s, away, enough + ball):
+            continue
         before = part
         if kind < row.NODE:
             clear, is_known = 0.0, False

@@ -9,6 +9,8 @@ After the base has stopped, the camera takes `LOOKS` frames, and the tree is reg
 Each of three planners picks up to `FRUITS` of the fruit that it finds reachable. hplan's tours know how wood bends.
 They are certified for three standard deviations of the perceived positions, which cover the errors of base and
 camera, and for the tracking error. `--values sigmas=0 looks=0 tracking=0.001` changes them.
+With `--values minutes=10` the base stops at random places around trees of the same kind until the motions and grips of
+a planner have taken that long.
 The recipe of MoveIt is RRTConnect, simplified and timed by toppra, with a padding of `PADDING_M`: once with all wood
 rigid, once without the wood that is thinner than the clamp radius. It picks the nearest fruit next and stops at
 stand-offs.
@@ -33,6 +35,7 @@ from hplan.apps.execution.simulated_arm import CONTROL_PERIOD, Plant, SimulatedA
 from hplan.apps.execution.simulation import find_near
 from hplan.apps.execution.wind import Wind
 from hplan.base.arrays import FloatArray
+from hplan.collision.coal_scene import base_contacts
 from hplan.errors import HplanError
 from hplan.planning.grasps import Grasp
 from hplan.planning.options import PlanOptions
@@ -50,6 +53,12 @@ PLANNERS = ("hplan", "recipe, all rigid", "recipe, thin wood left out")
 #: Distance of the trunk [m], maximum number of fruits to pick, and frames of the camera; --values distance, fruits and
 #: looks override them.
 DISTANCE_M, FRUITS, LOOKS = 1.2, 12, FieldErrors().looks
+
+#: Distances of the trunk [m], and turns of the tree [deg], among which stops are drawn.
+STOP_DISTANCES, STOP_TURNS = (1.0, 1.5), (0.0, 360.0)
+
+#: Stops after which a planner that picks nothing gives up.
+MOST_STOPS = 200
 
 #: Mean speed of the wind [m/s].
 WIND_M_S = 3.0
@@ -109,10 +118,16 @@ def _problems(config: StudyConfig) -> Iterable[Trial]:
     return [Trial(f"{file.stem}: {name}", file, row, name) for row, file in enumerate(files) for name in planners]
 
 
-def true_scene(config: StudyConfig, file: Path) -> Scene:
-    """A measured tree before the arm, with its limbs."""
-    distance = config.values.get("distance", (DISTANCE_M,))[0]
-    scene = with_limbs(measured_orchard([file], MeasuredOptions(distance=distance, yaw_deg=180.0)))
+def true_scene(config: StudyConfig, file: Path, stop: np.random.Generator | None = None) -> Scene:
+    """A measured tree before the arm, with its limbs.
+
+    Args:
+        stop: Draws the place of the base; None for one in front of the tree.
+    """
+    distance, turn = config.values.get("distance", (DISTANCE_M,))[0], 180.0
+    if stop is not None:
+        distance, turn = float(stop.uniform(*STOP_DISTANCES)), float(stop.uniform(*STOP_TURNS))
+    scene = with_limbs(measured_orchard([file], MeasuredOptions(distance=distance, yaw_deg=turn)))
     joints = tuple(scene.start.configuration.tolist())
     return scene.with_values(goal=Goal(joints_rad=joints))
 
@@ -206,8 +221,44 @@ def _recipe_motions(robot: Robot, scene: Scene, here: FloatArray, grasp: Grasp) 
 
 def _try(config: StudyConfig, trial: Trial) -> Row:
     """Plan and execute; forces and damage beside the fruit picked."""
-    robot, random = config.arm("orchard_harvester"), np.random.default_rng((config.seed, trial.number))
-    scene = true_scene(config, trial.tree)
+    allowed_s = 60.0 * config.values.get("minutes", (0.0,))[0]
+    if allowed_s <= 0.0:
+        return _at_stop(config, trial, None)
+    rows, spent_s = list[Row](), 0.0
+    for stop in range(MOST_STOPS):
+        rows.append(_at_stop(config, trial, stop))
+        spent_s += rows[-1].get("worked_s", 0.0)
+        if spent_s >= allowed_s:
+            break
+    return _sum_up(rows, spent_s)
+
+
+#: Columns that are added up over stops.
+_SUMS = ("ms", "planned", "picked", "duration_s", *("over_limits", "broken", "knocked_off"),
+         "knocked_off_untouched", "rigid_contacts", "diverged")  # fmt: skip
+
+#: Columns of which the largest counts.
+_LARGEST = ("most_miss_mm", "limb_force_n", "fruit_force_n", "stress_mpa", "tracking_mrad", "fault")
+
+
+def _sum_up(rows: list[Row], spent_s: float) -> Row:
+    """One row about several stops."""
+    found = rows[0] | {key: sum(row.get(key, 0) for row in rows) for key in _SUMS}
+    found |= {key: max(row.get(key, 0.0) for row in rows) for key in _LARGEST}
+    misses = [row["miss_mm"] for row in rows if row.get("miss_mm") is not None]
+    found |= {"miss_mm": float(np.median(misses)) if misses else None, "stops": len(rows), "worked_s": spent_s}
+    return found | {"fruit_per_hour": 3600.0 * found["picked"] / spent_s if spent_s > 0.0 else 0.0}
+
+
+def _at_stop(config: StudyConfig, trial: Trial, stop: int | None) -> Row:
+    """A trial from one place of the base, the stop of a number or the one in front of the tree."""
+    seeds = (config.seed, trial.number) if stop is None else (config.seed, trial.number, stop)
+    robot, random = config.arm("orchard_harvester"), np.random.default_rng(seeds)
+    row: Row = {"name": trial.name, "planner": trial.planner, "tree": trial.tree.stem, "planned": 0, "picked": 0}
+    row |= {"ms": 0.0, "fruit_per_hour": 0.0}
+    scene = true_scene(config, trial.tree, None if stop is None else random)
+    if base_contacts(robot, scene.solids):  # the tree stands in the arm
+        return row
     errors = FieldErrors(looks=int(config.values.get("looks", (LOOKS,))[0]))
     seen = errors.seen_scene(scene, random)
     if trial.planner == PLANNERS[0]:
@@ -215,12 +266,12 @@ def _try(config: StudyConfig, trial: Trial) -> Row:
     else:
         seed_ompl(config.seed + 1)
         work = _follow_recipe(config, robot, seen, thin=trial.planner == PLANNERS[1])
-    row: Row = {"name": trial.name, "planner": trial.planner, "tree": trial.tree.stem, "ms": work.ms,
-                "planned": len(work.grasps), "duration_s": work.duration}  # fmt: skip
+    row |= {"ms": work.ms, "planned": len(work.grasps), "duration_s": work.duration}
     if not work.grasps:
-        return row | {"picked": 0, "fruit_per_hour": 0.0}
+        return row
     plant = Plant(mass_factor=errors.mass_factor(random), bandwidth=BANDWIDTH, decoupled=True)
-    wind = Wind(speed_m_s=config.values.get("wind", (WIND_M_S,))[0], seed=config.seed + trial.number)
+    wind_seed = config.seed + trial.number + 1000 * (stop or 0)
+    wind = Wind(speed_m_s=config.values.get("wind", (WIND_M_S,))[0], seed=wind_seed)
     row |= _execute(robot, scene, work, plant, BendingTrees(wind=wind))
     is_harmful = row["broken"] or row["knocked_off"] or row["rigid_contacts"]
     is_far_off = row["tracking_mrad"] > 1e3 * _tracking(config)
@@ -254,9 +305,9 @@ def _execute(robot: Robot, scene: Scene, work: _Work, plant: Plant, trees: Bendi
                 arm.ignore_contacts([following[0]])
         arm.follow(*state)
     response, limits = monitor.response({}), scene.wood or Wood()
-    touched = {one.limb for one in response.contacts}
+    touched, worked_s = {one.limb for one in response.contacts}, work.duration + GRIP_S * len(work.grasps)
     return {
-        "picked": len(picked), "fruit_per_hour": 3600.0 * len(picked) / (work.duration + GRIP_S * len(work.grasps)),
+        "picked": len(picked), "worked_s": worked_s, "fruit_per_hour": 3600.0 * len(picked) / worked_s,
         "miss_mm": 1e3 * float(np.median(misses)) if misses else None, "most_miss_mm": 1e3 * max(misses, default=0.0),
         "limb_force_n": response.limb_force_n, "fruit_force_n": response.fruit_force_n,
         "stress_mpa": 1e-6 * float(monitor.max_stress_pa.max(initial=0.0)),

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from script_loader import load_script
-from studies import harness, motionbenchmaker, reference
+from studies import harness, motionbenchmaker, reference, wood_trial
 from studies import trees as among_trees
 from studies import wood as bending_wood
 from studies.harness import Study, StudyConfig, read_rows
@@ -302,3 +302,17 @@ def test_a_trial_in_the_wind(tmp_path: Path) -> None:
     assert trial["broken"] == trial["knocked_off"] == trial["rigid_contacts"] == 0
     assert not trial["diverged"]
     assert trial["tracking_mrad"] < 0.5  # the tracking error that the certificate covers
+
+
+def test_a_trial_of_minutes_sums_up_its_stops(monkeypatch: pytest.MonkeyPatch) -> None:
+    def at_stop(config: StudyConfig, trial: wood_trial.Trial, stop: int | None) -> dict[str, object]:
+        if stop == 1:  # nothing is within reach
+            return {"name": trial.name, "planned": 0, "picked": 0, "ms": 1.0}
+        row = {"planned": 3, "picked": 2, "ms": 1.0, "worked_s": 25.0, "limb_force_n": float(stop or 0), "broken": 1}
+        return {"name": trial.name, **row}
+
+    monkeypatch.setattr(wood_trial, "_at_stop", at_stop)
+    trial = wood_trial.Trial("tree", Path("tree.csv"), 0, "hplan")
+    found = wood_trial._try(StudyConfig(values={"minutes": (1.0,)}), trial)
+    assert (found["stops"], found["picked"], found["broken"], found["limb_force_n"]) == (4, 6, 3, 3.0)
+    assert found["fruit_per_hour"] == pytest.approx(3600.0 * 6 / 75.0)

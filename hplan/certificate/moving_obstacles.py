@@ -115,23 +115,15 @@ def moving_base_contacts(robot: Robot, moving: MovingSolids, begin_s: float, end
         begin_s: Start of the time interval [s].
         end_s: End of the time interval [s].
     """
-    bases, clock = base_bodies(robot), np.array([begin_s])
-    for number in moving.numbers:
+    centres, radii = moving.swept_balls(begin_s, end_s)
+    for number, centre, radius in zip(moving.numbers, centres, radii.tolist(), strict=True):
         solid, movement = moving.solids[number], moving.movements[number]
         if movement is None or solid.meets == "pushing":
             continue
-        travel = np.concatenate([[0.0], np.cumsum(moving.rates[number] * np.diff(movement.breaks))])
-        # The ball around the obstacle at the start, wider by all that its points travel until the end.
-        rotations, shifts = movement.displacement_at(clock)
-        centre = 0.5 * (solid.core.min(axis=0) + solid.core.max(axis=0))
-        radius = float(np.linalg.norm(solid.core - centre, axis=1).max()) + solid.rounding
-        radius += float(movement.spread_at(clock)[0])
-        radius += float(np.subtract(*np.interp((end_s, begin_s), movement.breaks, travel)))
-        place = rotations[0] @ centre + shifts[0]
-        for base in bases:
-            if float(np.linalg.norm(place - base.centre)) > radius + base.radius:
+        for base in base_bodies(robot):
+            if float(np.linalg.norm(centre - base.centre)) > radius + base.radius:
                 continue
-            at = _too_deep(base, solid, movement, travel, (begin_s, end_s))
+            at = _too_deep(base, solid, movement, moving.travelled[number], (begin_s, end_s))
             if at is not None:
                 name = base.body.name
                 yield f"obstacle {solid.name!r} comes into the robot's {name!r}, which does not move, at {at:.6g} s"

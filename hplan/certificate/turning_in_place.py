@@ -86,7 +86,7 @@ def _bounds_in_place(checker: CoalScene, span_s: tuple[float, float], most: floa
 def _compute_bounds(checker: CoalScene, span_s: tuple[float, float], most: float) -> dict[tuple[str, str], float]:
     bounds = dict[tuple[str, str], float]()
     for base in base_bodies(checker.robot):
-        for number in _nearby_obstacles(base, checker, most) if base.body.joint != GROUND else ():
+        for number in _nearby_obstacles(base, checker, span_s, most) if base.body.joint != GROUND else ():
             solid, growth = checker.grown_obstacles[number]
             movement = None if checker.moving is None else checker.moving.movements[number]
             off = growth + float(distance_errors(extents([base.shape]), [solid], np.zeros((0, 2, 3)))[0])
@@ -100,17 +100,16 @@ def _compute_bounds(checker: CoalScene, span_s: tuple[float, float], most: float
     return bounds
 
 
-def _nearby_obstacles(base: BaseBody, checker: CoalScene, most: float) -> list[int]:
-    """Indices of obstacles that may come within `most` of a body [m].
-
-    Static obstacles are culled by their bounding balls; all moving obstacles are included.
-    """
-    centre, radius = base.centre, base.radius
-    balls = checker.obstacle_balls
-    near = np.linalg.norm(balls[:, :3] - centre, axis=1) - balls[:, 3] - radius <= most
+def _nearby_obstacles(base: BaseBody, checker: CoalScene, span_s: tuple[float, float], most: float) -> list[int]:
+    """Indices of obstacles that may come within `most` of a body [m], by balls around them."""
+    centres, radii = checker.obstacle_balls[:, :3].copy(), checker.obstacle_balls[:, 3].copy()
     if checker.moving is not None:
-        near[list(checker.moving.numbers)] = True
-    found: list[int] = np.flatnonzero(near).tolist()
+        rows = list(checker.moving.numbers)
+        centres[rows], radii[rows] = checker.moving.swept_balls(*span_s)
+        radii[rows] += [checker.grown_obstacles[row][1] for row in rows]
+    found: list[int] = np.flatnonzero(
+        np.linalg.norm(centres - base.centre, axis=1) - radii - base.radius <= most
+    ).tolist()
     return found
 
 

@@ -146,13 +146,17 @@ class MovingSolids(Record):
             _Routes.join([getattr(movement, part) for movement, _ in self._distinct]) for part in ("own", "base")
         )
 
-    def places(self, time_s: float) -> list[tuple[int, pin.SE3]]:
-        """Index and coal pose of each moving obstacle at a time [s]."""
+    def _displacements(self, time_s: float) -> tuple[FloatArray, FloatArray]:
+        """Rotations and shifts of the distinct movements at a time, as `Movement.displacement_at`."""
         (own, base), count = self._routes, len(self._distinct)
         rotations, shifts = np.empty((count, 3, 3)), np.empty((count, 3))
         _place_routes(time_s, own, base, rotations, shifts)
+        return rotations, shifts
+
+    def places(self, time_s: float) -> list[tuple[int, pin.SE3]]:
+        """Index and coal pose of each moving obstacle at a time [s]."""
         found = []
-        for (_, listed), rotation, shift in zip(self._distinct, rotations, shifts, strict=True):
+        for (_, listed), rotation, shift in zip(self._distinct, *self._displacements(time_s), strict=True):
             pose = pin.SE3(rotation, shift)
             found += [(number, pose * place) for number, place in listed]
         return found
@@ -199,6 +203,44 @@ class MovingSolids(Record):
         """Upper bounds of the moving obstacles' point speeds between the breaks of their movements, by number [m/s]."""
         pairs = zip(self.movements, self.solids, strict=True)
         return {n: how.rates(solid.core, solid.rounding) for n, (how, solid) in enumerate(pairs) if how is not None}
+
+    @cached_property
+    def travelled(self) -> dict[int, FloatArray]:
+        """Upper bounds of the moving obstacles' travel up to the breaks of their movements, by number [m]."""
+        found = dict[int, FloatArray]()
+        for number, rates in self.rates.items():
+            movement = self.movements[number]
+            if movement is not None:
+                found[number] = np.concatenate([[0.0], np.cumsum(rates * np.diff(movement.breaks))])
+        return found
+
+    @cached_property
+    def _balls(self) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Distinct movement, and centre and radius of a ball, of each moving obstacle as listed [m]."""
+        which = {number: row for row, (_, listed) in enumerate(self._distinct) for number, _ in listed}
+        cores = [self.solids[number].core for number in self.numbers]
+        centres = np.array([0.5 * (core.min(axis=0) + core.max(axis=0)) for core in cores])
+        pairs = zip(cores, centres, strict=True)
+        radii = np.array([np.linalg.norm(core - centre, axis=1).max() for core, centre in pairs])
+        radii += [self.solids[number].rounding for number in self.numbers]
+        return np.array([which[number] for number in self.numbers]), centres, radii
+
+    def swept_balls(self, begin_s: float, end_s: float) -> tuple[FloatArray, FloatArray]:
+        """Balls that each hold a moving obstacle during a time interval [s], drift included.
+
+        Returns:
+            (k, 3) centres and (k,) radii, in the order of `numbers` [m].
+        """
+        which, centres, radii = self._balls
+        rotations, shifts = self._displacements(begin_s)
+        places: FloatArray = np.einsum("kij,kj->ki", rotations[which], centres) + shifts[which]
+        ways = [
+            np.subtract(*np.interp((end_s, begin_s), movement.breaks, self.travelled[number]))
+            for number, movement in enumerate(self.movements)
+            if movement is not None
+        ]
+        spreads = self.spreads(begin_s)
+        return places, radii + ways + (0.0 if spreads is None else spreads[list(self.numbers)])
 
     def travels(self, clock: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Upper bound of the obstacles' travel between times, from their maximum speeds.

@@ -264,6 +264,8 @@ class Poses(Record):
         Returns:
             (k, 3) velocities [m/s] and (k,) angular speeds [rad/s].
         """
+        if self.times[0] == self.times[-1]:  # static, as the base nearly always is
+            return np.zeros((len(clock), 3)), np.zeros(len(clock))
         piece = np.clip(np.searchsorted(self.times, clock) - 1, 0, len(self.times) - 2)
         span = self.times[piece + 1] - self.times[piece]
         moves = (clock > self.times[0]) & (clock < self.times[-1])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hplan.collision.coal_moving_solids import MovingSolids
-from hplan.scene.obstacles import Sphere
-from hplan.scene.tracks import Movement, Track
+from hplan.scene.obstacles import Box, Sphere
+from hplan.scene.tracks import Drift, Movement, Track
 
 
 def random_track(rng: np.random.Generator, count: int, *, turns: bool) -> Track:
@@ -33,3 +33,31 @@ def test_places_are_those_of_the_movements(base_moves):
             at = rotation[0] @ balls[number].center + shift[0]
             np.testing.assert_allclose(place.translation, at, rtol=0, atol=1e-14)
             np.testing.assert_allclose(place.rotation, rotation[0], rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("base_moves", [False, True])
+def test_swept_balls_hold_the_obstacles(base_moves):
+    rng = np.random.default_rng(2)
+    base = random_track(rng, 4, turns=True) if base_moves else None
+    boxes = [Box(name=str(number), center=rng.normal(size=3), size=rng.uniform(0.1, 0.5, 3)) for number in range(6)]
+    tracks = [random_track(rng, 2 + number, turns=number % 2 == 0) for number in range(6)]
+    drift = Drift(radius_m=0.02, speed_m_s=0.3, acceleration_m_s2=1.0)
+    tracks = [
+        track.copy_unchecked({"drift": drift}) if number % 3 == 0 else track for number, track in enumerate(tracks)
+    ]
+    movements = [Movement.relative_to(track, base) for track in tracks]
+    still = Sphere(name="still", center=(0.0, 0.0, 9.0), radius=0.1)
+    moving = MovingSolids.combine([still.solids[0], *(box.solids[0] for box in boxes)], [None, *movements])
+    tightest = np.inf
+    for _ in range(40):
+        begin_s, end_s = np.sort(rng.uniform(-1.0, 5.0, 2))
+        centres, radii = moving.swept_balls(begin_s, end_s)
+        times = np.linspace(begin_s, end_s, 50)
+        for box, movement, centre, radius in zip(boxes, movements, centres, radii, strict=True):
+            rotations, shifts = movement.displacement_at(times)
+            corners = np.einsum("kij,nj->kni", rotations, box.solids[0].core) + shifts[:, None]
+            reached = np.linalg.norm(corners - centre, axis=2).max(axis=1) + box.solids[0].rounding
+            spare = radius - (reached + movement.spread_at(times)).max()
+            assert spare >= -1e-9
+            tightest = min(tightest, spare)
+    assert tightest < 1e-3

@@ -48,7 +48,7 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray
 from hplan.scene.limb_parts import TINY, PermittedContacts, Pushables, depth_and_extension, pendulum_stiffness
-from hplan.scene.limbs import Limbs
+from hplan.scene.limbs import Limbs, skew
 from hplan.scene.neighbours import Neighbours, find_neighbours
 from hplan.scene.obstacle_kind import Solid
 from hplan.scene.wood import LEAST_DEPTH_M, MOST_SWING, Wood
@@ -82,74 +82,72 @@ def _combinations() -> FloatArray:
 _COMBINED: Final = _combinations()
 
 
-def permitted_fruit_contacts(hanging: Pushables, limbs: Limbs, stiff: Sequence[Solid], wood: Wood) -> PermittedContacts:
+class FruitsAlone(NamedTuple):
+    """Hanging fruit as if they had no neighbours.
+
+    Attributes:
+        whole: (k,) depth by the maximum force [m].
+        extension: (k,) extension of the axis per depth.
+        depth: (k,) maximum depth [m]; 0 for rigid fruit.
+        pendulums: The fruit on their stalks.
+    """
+
+    whole: FloatArray
+    extension: FloatArray
+    depth: FloatArray
+    pendulums: Sequence[Pendulum]
+
+    @classmethod
+    def of(cls, hanging: Pushables) -> FruitsAlone:
+        """All of them."""
+        whole, lengths = depth_and_extension(hanging)
+        depth, stiffness = np.clip(whole, 0.0, hanging.depth), pendulum_stiffness(hanging)
+        depth[depth < LEAST_DEPTH_M] = 0.0
+        extension = np.divide(lengths, whole, out=np.zeros(len(whole)), where=whole > 0.0)
+        most = np.minimum(depth, hanging.force / np.maximum(stiffness, TINY))
+        columns = hanging.stiff_axis, (hanging.depth / MOST_SWING).tolist(), most.tolist(), stiffness.tolist()
+        return cls(whole, extension, depth, [Pendulum(*values) for values in zip(*columns, strict=True)])
+
+    def neighbours(self, hanging: Pushables, limbs: Limbs, stiff: Sequence[Solid], wood: Wood) -> Neighbours:
+        """Their neighbours: a fruit moves by at most its depth, and rises by half of it."""
+        return find_neighbours(hanging, _FARTHEST * self.depth, limbs, hanging, stiff, wood)
+
+
+#: Distance per depth within which neighbours are sought.
+_FARTHEST: Final = math.hypot(1.0, 0.5)
+
+
+def permitted_fruit_contacts(
+    hanging: Pushables, alone: FruitsAlone, near: Neighbours, behind: Mapping[int, Neighbours]
+) -> PermittedContacts:
     """Depths of fruit within the limits of force, by direction.
 
     Args:
         hanging: Fruit on limbs.
-        limbs: All limbs.
-        stiff: Solids of all other obstacles.
-        wood: Limits and properties.
+        alone: The same without neighbours.
+        near: Their neighbours with the rooms that `hplan.scene.neighbour_rooms` finds.
+        behind: What these may be pressed against, by their places.
     """
-    whole, lengths = depth_and_extension(hanging)
-    depth, count = np.clip(whole, 0.0, hanging.depth), len(whole)
-    depth[depth < LEAST_DEPTH_M] = 0.0
-    per_depth, stiffness = hanging.force / np.maximum(whole, TINY), pendulum_stiffness(hanging)
-    extension = np.divide(lengths, whole, out=np.zeros(count), where=whole > 0.0)
+    depth, per_depth = alone.depth.copy(), hanging.force / np.maximum(alone.whole, TINY)
+    count = len(depth)
     pressed, roots, fruits = np.zeros(count), [frozenset[int]()] * count, [frozenset[str]()] * count
-    near = dict(find_neighbours(hanging, _FARTHEST * depth, limbs, hanging, stiff, wood).by_pushable())
-    most, lengths = np.minimum(depth, hanging.force / np.maximum(stiffness, TINY)), hanging.depth / MOST_SWING
-    columns = (hanging.stiff_axis, lengths.tolist(), most.tolist(), stiffness.tolist())
-    pendulums = [Pendulum(*values) for values in zip(*columns, strict=True)]
     across = dict[int, FloatArray]()
-    for row, mine in near.items():
-        springs, behind = _with_springs(row, mine, near, pendulums)
-        push = deepest_push(pendulums[row], springs)
+    for row, places in near.by_pushable():
+        pendulum, mine = alone.pendulums[row], near.at(places)
+        push = deepest_push(pendulum, mine)
         depth[row] = push.depth if push.depth >= LEAST_DEPTH_M else 0.0
         if depth[row] > 0.0 and push.reached.any():
-            per_depth[row], pressed[row] = stiffness[row], stiffness[row] * push.depth
+            per_depth[row], pressed[row] = pendulum.stiffness, pendulum.stiffness * push.depth
             across[row] = push.corners
-            moved = [mine.at(push.reached), *(each for at, each in behind.items() if push.reached[at])]
+            reached = places[push.reached].tolist()
+            moved = [mine.at(push.reached), *(behind[place] for place in reached if place in behind)]
             roots[row] = frozenset[int]().union(*(each.limb_roots for each in moved))
             fruits[row] = frozenset[str]().union(*(each.fruit_names(hanging) for each in moved))
-    cores = hanging.extended(extension * depth)
+    cores = hanging.extended(alone.extension * depth)
     for row, corners in across.items():
         cores[row] = hanging.start[row] - corners
     force = per_depth * depth
     return PermittedContacts(depth, cores, force, pressed, force * hanging.stress, roots, fruits)
-
-
-#: Distance per depth within which neighbours are sought: a fruit moves by at most the depth, and rises by half of it.
-_FARTHEST: Final = math.hypot(1.0, 0.5)
-
-
-def _with_springs(
-    row: int, mine: Neighbours, near: Mapping[int, Neighbours], pendulums: Sequence[Pendulum]
-) -> tuple[Neighbours, dict[int, Neighbours]]:
-    """The neighbours of a fruit, in which other fruit are springs as far as their own neighbours let them move.
-
-    These are stopped by all fruit next to them, except for the one that pushes them.
-
-    Args:
-        row: Number of the fruit.
-        mine: Its neighbours.
-        near: The neighbours of all fruit that have any.
-        pendulums: All fruit.
-
-    Returns:
-        The neighbours, and those of each that is a fruit, by their places.
-    """
-    stiffness, room, behind = mine.stiffness.copy(), mine.depth.copy(), dict[int, Neighbours]()
-    for at in np.flatnonzero(mine.fruit >= 0).tolist():
-        other = int(mine.fruit[at])
-        others = near[other] if other in near else mine.at(np.zeros(0, dtype=np.int64))
-        others = others.at(others.fruit != row)
-        others = others._replace(stiffness=np.where(others.fruit >= 0, np.inf, others.stiffness))
-        push = deepest_push(pendulums[other], others, mine.direction[at])
-        behind[at], room[at] = others, push.permitted_depth(mine.direction[at])
-        is_firm = room[at] < LEAST_DEPTH_M
-        stiffness[at] = np.inf if is_firm else pendulums[other].stiffness * push.depth / room[at]
-    return mine._replace(stiffness=stiffness, depth=room), behind
 
 
 class Pendulum(NamedTuple):
@@ -225,7 +223,7 @@ def push_among(fruit: Pendulum, depth: float, near: Neighbours) -> FruitPush:
     gap = near.gap[stops] / sideways * np.cos(tilt) / (1.0 + np.sin(tilt))
     nearest = ties.argmin(gap)
     first = flat[nearest] / sideways[nearest]
-    second = np.cross(fruit.stalk, first)
+    second = skew(fruit.stalk) @ first
     angle = np.arctan2(flat @ second, flat @ first)
     is_spring = np.isfinite(near.stiffness[stops]) & (farthest[stops] - near.gap[stops] <= near.depth[stops])
     share, firm = gap / (2.0 * depth), ~is_spring

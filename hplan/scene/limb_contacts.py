@@ -17,12 +17,13 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray
 from hplan.scene.fruit import Fruit
-from hplan.scene.fruit_depths import permitted_fruit_contacts
+from hplan.scene.fruit_depths import FruitsAlone, permitted_fruit_contacts
 from hplan.scene.hanging_point import HangingPoint
-from hplan.scene.limb_depths import permitted_limb_contacts
-from hplan.scene.limb_parts import Pushables, divide_limbs, hanging_fruits, pendulum_stiffness
+from hplan.scene.limb_depths import limb_neighbours, permitted_limb_contacts
+from hplan.scene.limb_parts import PermittedContacts, Pushables, divide_limbs, hanging_fruits, pendulum_stiffness
 from hplan.scene.limbs import Limbs
 from hplan.scene.limits import Size, Vector
+from hplan.scene.neighbour_rooms import NeighbourRooms
 from hplan.scene.obstacle_kind import ContactLimit, Convex, Name, Sigma, Solid
 from hplan.scene.obstacles import Capsule, Obstacle, Sphere
 from hplan.scene.wood import DAMPING_RATIO, GRAVITY, IMPACT_FACTOR, MOST_SWING, Wood, limits_by_segment
@@ -96,11 +97,7 @@ def _contact_solids(obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood
     for segment, rate in zip(hanging.segment.tolist(), decays, strict=True):
         slowest[roots[segment]] = min(rate, slowest.get(roots[segment], math.inf))
     parts, stiffness = divide_limbs(limbs, wood), pendulum_stiffness(hanging).tolist()
-    tables = (
-        permitted_limb_contacts(parts, limbs, hanging, stiff, wood),
-        permitted_fruit_contacts(hanging, limbs, stiff, wood),
-    )
-    for pushables, table in zip((parts, hanging), tables, strict=True):
+    for pushables, table in zip((parts, hanging), _permitted(parts, limbs, hanging, stiff, wood), strict=True):
         for row, name in enumerate(pushables.names):
             depth, segment = float(table.depth[row]), int(pushables.segment[row])
             low, high = pushables.along[row].tolist()
@@ -126,6 +123,21 @@ def _contact_solids(obstacles: Sequence[Obstacle], fruits: Sequence[Fruit], wood
         if not any(solid.yields for solid in solids):  # rigid, whatever hangs from it
             found[name] = as_rigid(solids)
     return found
+
+
+def _permitted(
+    parts: Pushables, limbs: Limbs, hanging: Pushables, stiff: Sequence[Solid], wood: Wood
+) -> tuple[PermittedContacts, PermittedContacts]:
+    """Permitted contacts with parts of limbs, and with fruit."""
+    of_limbs, alone = limb_neighbours(parts, limbs, hanging, stiff, wood), FruitsAlone.of(hanging)
+    of_fruit = alone.neighbours(hanging, limbs, stiff, wood)
+    rooms = NeighbourRooms(parts, limbs, of_limbs, alone, of_fruit)
+    near = rooms.find(of_limbs.near, of_limbs.by_segment, of_limbs.by_fruit)
+    near_fruit = rooms.find(of_fruit, np.full(len(of_fruit.gap), -1), of_fruit.pushable)
+    return (
+        permitted_limb_contacts(parts, of_limbs, *near, limbs, hanging, wood),
+        permitted_fruit_contacts(hanging, alone, *near_fruit),
+    )
 
 
 class RoundedHull(Convex):

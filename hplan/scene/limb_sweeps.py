@@ -8,8 +8,8 @@ that is extended by :math:`l d` in the direction s is deflected by :math:`\delta
 
 .. math:: |u| \le r d, \qquad r = \sqrt{\lambda_{max}(C_{yy}) k}, \qquad k C_{xx} + w s s^\top \succeq I,
 
-with :math:`w = 2 l - l^2` for :math:`l \le 1`, else :math:`l^2`: then :math:`(\delta / d)^2 \le 1 - w (n \cdot s)^2`,
-or no contact has this normal.
+with :math:`w = \max(l, l^2)`: then :math:`\delta / d \le 1 - w (n \cdot s)^2`, or no contact has this normal. So k is
+the maximum force per depth.
 
 Beyond x a limb moves as a rigid body: with the rotation per deflection :math:`\theta`, bounded likewise,
 :math:`|u|` is also at most :math:`d (r_x + |y - x| \theta)`.
@@ -20,20 +20,14 @@ An obstacle with the stiffness k behind a gap g at y acts at x as one with the s
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.scene.limb_parts import TINY, Pushables, lateral_depth, smallest_eigenvalue
+from hplan.scene.limb_parts import TINY, Pushables, lateral_depth
 from hplan.scene.limbs import Limbs
 from hplan.scene.wood import MOST_ROTATION, Wood, limits_by_segment
-
-#: Allowed for rounding in eigenvalues.
-_ROUNDING: Final = 1e-9
-
-#: Number of halvings in the search for the stiffness.
-_HALVINGS: Final = 30
 
 
 class Carried(NamedTuple):
@@ -50,40 +44,12 @@ class Carried(NamedTuple):
     ratio: FloatArray
 
 
-def largest_stiffness(
-    parts: Pushables, depth: FloatArray, extension: FloatArray, limbs: Limbs, wood: Wood
-) -> FloatArray:
-    """(k,) upper bound of force times deflection per squared depth, whatever the normal [N/m].
-
-    Args:
-        parts: Parts of limbs.
-        depth: (k,) their depths by the maximum force [m].
-        extension: (k,) the extensions that these take [m].
-        limbs: All limbs.
-        wood: Young's modulus.
-    """
-    first, last = (limbs.compliance_along(parts.segment, parts.along[:, end])[:2] for end in (0, 1))
-    half = 0.5 * np.ptp(parts.along, axis=1)[:, None, None]
-    # Up to the middle the tangent at the nearer end is a lower bound, and the smallest eigenvalue is concave along it.
-    bounds = np.stack([first[0], first[0] + half * first[1], last[0] - half * last[1], last[0]])
-    bounds /= limits_by_segment(limbs, wood).stiffest[parts.segment, None, None]
-    share = extension / np.maximum(depth, TINY)
-    weight = np.where(share <= 1.0, share * (2.0 - share), share**2)
-    low, high = np.zeros(len(depth)), parts.force / np.maximum(depth, TINY)
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        scaled = middle[:, None, None] * bounds
-        enough = smallest_eigenvalue(scaled, parts.stiff_axis, weight) >= 1.0 - _ROUNDING
-        low, high = np.where(enough, low, middle), np.where(enough, middle, high)
-    return high
-
-
 def carried_along(pushables: Pushables, stiffness: FloatArray, items: Pushables, limbs: Limbs, wood: Wood) -> Carried:
     """Items on the same limbs as pushed parts, with the ratio of their displacements.
 
     Args:
         pushables: Parts of limbs that are pushed.
-        stiffness: (k,) what `largest_stiffness` finds for them [N/m].
+        stiffness: (k,) their maximum force per depth [N/m].
         items: Parts of limbs, or fruit on them.
         limbs: All limbs.
         wood: Young's modulus.
@@ -116,8 +82,7 @@ def carried_along(pushables: Pushables, stiffness: FloatArray, items: Pushables,
                 beyond |= (on == other) & (grows_at >= x[:, 1])
         turned = np.sqrt(own[pushed] * of_one[pushed]) + lever * rotation[pushed]
         ratio = np.where(beyond, np.minimum(ratio, turned), ratio)
-        is_other = (on != segment) | (np.abs(items.along[item] - x).max(axis=1) > 0.0)
-        found.append(Carried(pushed[is_other], item[is_other], ratio[is_other]))
+        found.append(Carried(pushed, item, ratio))
     if not found:
         return Carried(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0))
     return Carried(*(np.concatenate(columns) for columns in zip(*found, strict=True)))

@@ -32,6 +32,8 @@ class Neighbours(NamedTuple):
         fruit: (m,) number of a fruit; -1 for others.
         direction: (m, 3) unit vector towards the neighbour: all of it lies behind a plane with this normal at the gap;
             zeros if there is no such plane, or none is known.
+        segment: (m,) limb segment that it is, or that a fruit hangs from; -1 for others.
+        along: (m,) distance of the point next to the pushed one from the start of a limb segment [m]; else 0.
     """
 
     pushable: IntArray
@@ -42,13 +44,20 @@ class Neighbours(NamedTuple):
     root: IntArray
     fruit: IntArray
     direction: FloatArray
+    segment: IntArray
+    along: FloatArray
 
     def at(self, kept: BoolArray | IntArray) -> Neighbours:
         """Those of a mask or of some numbers."""
         return Neighbours(
             self.pushable[kept], self.gap[kept], self.stiffness[kept], self.depth[kept], self.most_force[kept],
-            self.root[kept], self.fruit[kept], self.direction[kept],
+            self.root[kept], self.fruit[kept], self.direction[kept], self.segment[kept], self.along[kept],
         )  # fmt: skip
+
+    @classmethod
+    def join(cls, sets: Sequence[Neighbours]) -> Neighbours:
+        """All of some sets, at least one."""
+        return cls(*(np.concatenate(columns) for columns in zip(*sets, strict=True)))
 
     @property
     def limb_roots(self) -> frozenset[int]:
@@ -59,12 +68,12 @@ class Neighbours(NamedTuple):
         """Names of the neighbours that are fruit."""
         return frozenset(hanging.names[number] for number in self.fruit[self.fruit >= 0].tolist())
 
-    def by_pushable(self) -> Iterator[tuple[int, Neighbours]]:
-        """Number of each pushable with neighbours, and these."""
+    def by_pushable(self) -> Iterator[tuple[int, IntArray]]:
+        """Number of each pushable with neighbours, and the places of these."""
         order = np.argsort(self.pushable, kind="stable")
         numbers, first = np.unique(self.pushable[order], return_index=True)
         for number, (begin, end) in zip(numbers.tolist(), pairwise([*first.tolist(), len(order)]), strict=True):
-            yield number, self.at(order[begin:end])
+            yield number, order[begin:end]
 
 
 def find_neighbours(
@@ -89,23 +98,28 @@ def find_neighbours(
         row, other, gap, along, direction = row[near], other[near], gap[near], along[near], _unit(apart[near])
         point = parts_between(limbs, other, along, along, wood)
         soft = smallest_eigenvalue(point.compliance, point.stiff_axis, np.ones(len(other)))
+        is_known = np.linalg.norm(direction, axis=1) > 0.5
+        towards = np.einsum("mi,mij,mj->m", direction, point.compliance[0], direction)
+        soft = np.where(is_known, np.minimum(soft, towards), soft)
         soft[limbs.clamped[other]] = 0.0
         stiffness = np.divide(1.0, soft, out=np.full(len(soft), np.inf), where=soft > 1e-12)
         room = np.where(soft > 1e-12, np.minimum(point.force * soft, point.depth), 0.0)
         force = np.where(soft > 1e-12, point.force, np.inf)
-        found.append(Neighbours(row, gap, stiffness, room, force, roots[other], np.full(len(row), -1), direction))
+        none = np.full(len(row), -1)
+        found.append(Neighbours(row, gap, stiffness, room, force, roots[other], none, direction, other, along))
         found.append(_fruit_neighbours(pushables, rows, depth, hanging, related, roots))
         for solid in stiff:
             distance, direction = _from_solid(start[rows], end[rows], solid)
             gap = np.maximum(0.0, distance - pushables.radius[rows])
             near = gap < depth[rows]
             rigid, none = np.full(int(near.sum()), np.inf), np.full(int(near.sum()), -1)
-            columns = rigid, np.zeros(len(rigid)), rigid, none, none, direction[near]
+            zeros = np.zeros(len(rigid))
+            columns = rigid, zeros, rigid, none, none, direction[near], none, zeros
             found.append(Neighbours(rows[near], gap[near], *columns))
     if not found:
         none, nothing = np.zeros(0, dtype=np.int64), np.zeros(0)
-        return Neighbours(none, nothing, nothing, nothing, nothing, none, none, np.zeros((0, 3)))
-    return Neighbours(*(np.concatenate(columns) for columns in zip(*found, strict=True)))
+        return Neighbours(none, *(nothing,) * 4, none, none, np.zeros((0, 3)), none, nothing)
+    return Neighbours.join(found)
 
 
 def _fruit_neighbours(
@@ -126,7 +140,7 @@ def _fruit_neighbours(
     room = np.minimum(hanging.force[other] * soft, hanging.depth[other])
     return Neighbours(
         rows[row], gap[row, other], 1.0 / np.maximum(soft, TINY), room, hanging.force[other],
-        roots[hanging.segment[other]], other, direction,
+        roots[hanging.segment[other]], other, direction, hanging.segment[other], np.zeros(len(row)),
     )  # fmt: skip
 
 

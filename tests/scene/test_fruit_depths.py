@@ -34,7 +34,7 @@ def random_case(random: np.random.Generator) -> tuple[Pendulum, Neighbours]:
     stiffness = np.where(random.random(count) < 0.6, np.inf, 10.0 ** random.uniform(0.5, 3.0, count))
     none, many = np.full(count, -1), np.full(count, np.inf)
     near = Neighbours(np.zeros(count, dtype=np.int64), gap, stiffness, np.where(np.isinf(stiffness), 0.0, 1.0), many,
-                      none, none, directions)  # fmt: skip
+                      none, none, directions, none, np.zeros(count))  # fmt: skip
     return Pendulum(stalk, length, 0.8 * length, float(random.uniform(20.0, 80.0))), near
 
 
@@ -74,7 +74,8 @@ def test_no_direction_finds_more_than_the_permitted_force(limb_bends: bool) -> N
 def test_a_fruit_that_rests_against_a_wall_may_be_pushed_away_and_past_it() -> None:
     stalk = np.array([0.0, 0.0, -1.0])
     none, zero = np.array([-1]), np.zeros(1)
-    wall = Neighbours(none, zero, np.array([np.inf]), zero, np.array([np.inf]), none, none, np.array([[1.0, 0.0, 0.0]]))
+    far, towards_it = np.array([np.inf]), np.array([[1.0, 0.0, 0.0]])
+    wall = Neighbours(none, zero, far, zero, far, none, none, towards_it, none, zero)
     push = deepest_push(Pendulum(stalk, 0.05, 0.04, 40.0), wall)
     assert push.depth == 0.04
     directions = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
@@ -88,7 +89,7 @@ def test_a_fruit_that_swings_up_is_stopped_by_a_neighbour_of_unknown_direction()
     fruit, far = Pendulum(np.array([0.0, 0.0, -1.0]), length, 0.8 * length, 40.0), np.array([np.inf])
     moved = np.hypot(fruit.depth, length - np.sqrt(length**2 - fruit.depth**2))
     for part in (0.999, 1.001):
-        cloud = Neighbours(none, np.array([part * moved]), far, zero, far, none, none, np.zeros((1, 3)))
+        cloud = Neighbours(none, np.array([part * moved]), far, zero, far, none, none, np.zeros((1, 3)), none, zero)
         assert (deepest_push(fruit, cloud).depth == fruit.depth) == (part > 1.0)
 
 
@@ -119,6 +120,6 @@ def test_a_fruit_between_walls_moves_by_the_gap() -> None:
     angles = np.radians([0.0, 120.0, 240.0])
     around = np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
     rigid = np.full(3, np.inf)
-    near = Neighbours(both, np.full(3, 0.004), rigid, np.zeros(3), rigid, both, both, around)
+    near = Neighbours(both, np.full(3, 0.004), rigid, np.zeros(3), rigid, both, both, around, both, np.zeros(3))
     push = deepest_push(Pendulum(stalk, 0.05, 0.04, 40.0), near)
     assert 0.0015 <= push.mean_depth <= 0.004

@@ -13,7 +13,7 @@ from hplan.scene import Box, Capsule, Fruit, Wood
 from hplan.scene.hanging_point import HangingPoint
 from hplan.scene.limb_contacts import contact_solids, limbs_of
 from hplan.scene.limb_parts import Pushables, depth_and_extension, divide_limbs
-from hplan.scene.limb_sweeps import carried_along, largest_stiffness
+from hplan.scene.limb_sweeps import carried_along
 from hplan.scene.limbs import Limbs
 
 
@@ -43,8 +43,8 @@ def test_nothing_moves_farther_than_its_bound(seed: int) -> None:
     tree, wood, random = random_tree(seed), Wood(), np.random.default_rng(seed)
     limbs = limbs_of(tree, wood)
     parts = divide_limbs(limbs, wood)
-    depth, extension = depth_and_extension(parts)
-    stiffness = largest_stiffness(parts, depth, extension, limbs, wood)
+    depth, _ = depth_and_extension(parts)
+    stiffness = parts.force / np.maximum(depth, 1e-12)
     carried, nearest = carried_along(parts, stiffness, parts, limbs, wood), 0.0
     chosen = random.permutation(len(carried.pushed))[:400]
     for pushed, item, ratio in zip(*(column[chosen].tolist() for column in carried), strict=True):
@@ -62,7 +62,7 @@ def test_no_fruit_hangs_from_a_point_that_moves_farther_than_its_bound(seed: int
     tree, wood, random = random_tree(seed), Wood(), np.random.default_rng(seed)
     limbs = limbs_of(tree, wood)
     parts, roots, nearest = divide_limbs(limbs, wood), limbs.roots(), 0.0
-    stiffness = largest_stiffness(parts, *depth_and_extension(parts), limbs, wood)
+    stiffness = parts.force / np.maximum(depth_and_extension(parts)[0], 1e-12)
     limits = {
         (limit.segment, limit.along): limit
         for solids in contact_solids(tree, (), wood).values()

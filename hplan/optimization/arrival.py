@@ -7,8 +7,9 @@ point to the next. Velocity and acceleration limits bound the steps and their ch
 
 and pieces of at least :math:`2 \bar a / \bar\jmath` keep the jerk limits. The largest steps to rest after n pieces are
 bounded by full acceleration from the state, by the velocity limit and by full braking to the end; the smallest steps
-by the mirror image. All constraints are convex, so a combination of both reaches any position between their ends. The
-motion has the minimum number of pieces that lets each joint reach its goal.
+by the mirror image. A joint that accelerates near its velocity limit brakes in the first piece, so that the velocity
+stays within the limit between the control points. All constraints are convex, so a combination of both reaches any
+position between their ends. The motion has the minimum number of pieces that lets each joint reach its goal.
 """
 
 from __future__ import annotations
@@ -30,11 +31,15 @@ _PIECE_S = 0.02
 _FEWEST_PIECES = 8
 _COARSE_S = 0.1
 
+#: A joint that accelerates near its velocity limit may exceed it by this fraction: half of what certificates allow.
+_EXCESS = 5e-4
+
 
 def fastest_arrival(state: BoundaryState, goal: FloatArray, limits: Limits, rate_hz: float) -> TimedSpline | None:
     """Fastest motion from a state to rest at a goal, in free space and without torque limits.
 
-    None if it takes too long, or if low jerk limits leave it too few pieces. Its pieces meet at samples.
+    None if it takes too long, if low jerk limits leave it too few pieces, or if a joint accelerates so near its
+    velocity limit that it exceeds it. Its pieces meet at samples.
 
     Args:
         state: State at the start, within the limits.
@@ -83,6 +88,8 @@ def _fastest_steps(task: FloatArray, rows: int, rate_hz: float, most: int) -> tu
         low = 2  # a number that does not suffice
         for j in range(len(joints)):
             low = max(low, math.ceil(abs(joints[j, 0]) / joints[j, 2]))
+            if joints[j, 0] - joints[j, 2] > joints[j, 4] or joints[j, 0] + joints[j, 2] < joints[j, 5]:
+                low = most  # no braking keeps the velocity limit
         high = low + 1
         while high <= most and not _are_reached(joints, high):
             low, high = high, 2 * high
@@ -106,20 +113,33 @@ def _fastest_steps(task: FloatArray, rows: int, rate_hz: float, most: int) -> tu
 
 @kernel
 def _in_pieces(task: FloatArray, piece_s: float) -> FloatArray:
-    """(dof, 4) step before the third control point, turn after it, and limits of changes of steps and of steps."""
-    joints = np.empty((task.shape[1], 4))
+    """(dof, 6) step before the third control point, turn after it, and limits.
+
+    They are those of changes of steps, of steps, and the largest and the smallest next step.
+    """
+    joints = np.empty((task.shape[1], 6))
     for j in range(len(joints)):
         change = piece_s**2 * task[2, j]
         joints[j, 0] = piece_s * task[1, j] + 0.5 * change
         joints[j, 1] = task[3, j] - (task[0, j] + piece_s * task[1, j] + change / 3.0)
         joints[j, 2], joints[j, 3] = piece_s**2 * task[5, j], piece_s * task[4, j]
+        joints[j, 4], joints[j, 5] = np.inf, -np.inf
+        sign, push = math.copysign(1.0, task[2, j]), abs(task[2, j])
+        room = (1.0 + _EXCESS) * task[4, j] - sign * task[1, j]
+        if 0.5 * piece_s * push > room:
+            # The acceleration is linear within the piece: if it falls by f, the velocity grows by
+            # a^2 h / (2 f).
+            fall = 0.5 * piece_s * push**2 / room if room > 0.0 else np.inf
+            joints[j, 4 if sign > 0.0 else 5] = joints[j, 0] + sign * piece_s**2 * (push - fall)
     return joints
 
 
 @inline
 def _bounds(joint: FloatArray, pieces: int, number: int) -> tuple[float, float]:
     """Smallest and largest step with a number, counted from 1."""
-    slower, faster, rest = joint[0] - number * joint[2], joint[0] + number * joint[2], (pieces - 1 - number) * joint[2]
+    rest = (pieces - 1 - number) * joint[2]
+    slower = max(joint[0] - number * joint[2], joint[5] - (number - 1) * joint[2])
+    faster = min(joint[0] + number * joint[2], joint[4] + (number - 1) * joint[2])
     return max(slower, min(-joint[3], faster), -rest), min(faster, max(joint[3], slower), rest)
 
 

@@ -97,3 +97,28 @@ def test_low_jerk_limits_need_enough_pieces(jerk, is_found):
     assert (spline is not None) == is_found
     slow = fastest_arrival(still, 100.0 * one, Limits(one, one, jerk=jerk * one), RATE_HZ)
     assert slow.duration <= 1.1 * (100.0 + 1.0 + 1.0 / jerk)
+
+
+def test_joint_that_accelerates_near_its_velocity_limit():
+    one = np.ones(1)
+    for jerk in (None, 500.0 * one):
+        limits = Limits(one, 5.0 * one, jerk=jerk)
+        # The largest steps would reach 1.015 of the limit.
+        state = BoundaryState(np.zeros(1), 0.98 * one, 3.5 * one)
+        spline = fastest_arrival(state, 3.0 * one, limits, RATE_HZ)
+        clock = np.linspace(0.0, spline.duration, 30_001)
+        velocity, acceleration = (spline.path.evaluate(clock, order) for order in (1, 2))
+        assert 0.999 < np.abs(velocity).max() <= 1.0 + 5e-4 + 1e-9
+        assert np.abs(acceleration).max() <= 5.0 + 1e-9
+        least_s = least_duration_between(3.0 * one, (state.velocity, 0.0 * one), one, 5.0 * one).max()
+        assert spline.duration <= least_s + 0.1
+        mirrored = BoundaryState(np.zeros(1), -0.98 * one, -3.5 * one)
+        backward = fastest_arrival(mirrored, -3.0 * one, limits, RATE_HZ)
+        np.testing.assert_allclose(backward.control, -spline.control, rtol=0, atol=1e-12)
+        # The way back does not exceed the limit any more.
+        turned = fastest_arrival(state, -one, limits, RATE_HZ)
+        assert turned.path.evaluate(np.linspace(0.0, 0.1, 3001), 1).max() <= 1.0 + 5e-4 + 1e-9
+        # From the limit itself no motion keeps it, however it brakes; rounding is no obstacle.
+        assert fastest_arrival(BoundaryState(np.zeros(1), one, 3.5 * one), 3.0 * one, limits, RATE_HZ) is None
+        rounded = BoundaryState(np.zeros(1), one * (1.0 + 1e-9), 1e-3 * one)
+        assert fastest_arrival(rounded, 3.0 * one, limits, RATE_HZ) is not None

@@ -77,8 +77,8 @@ class Level:
         gain: The level ends after the first step that shortens the motion by less than this fraction, scaled by the
             fraction of the step that was collision-free.
         trust: Maximum change of a control point in a joint in the first step [rad].
-        is_brief: True to solve few programs: a step as a whole that changes the duration by less than `gain` ends the
-            level even if it is the first, and the last step is less accurate, with as many pieces.
+        is_brief: True to solve few programs: a step as a whole from within the limits that changes the duration by less
+            than `gain` ends the level even if it is the first, and the last step is less accurate, with as many pieces.
         enough: The level ends when the duration is within this fraction of the lower bound for pieces of this length
             (`TimeProblem.least_duration`); 0 to ignore the lower bound.
     """
@@ -252,8 +252,8 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
     spline = _initial_spline(start, problem, even_breaks(start.duration, pieces))
     enough_s = _sufficient_duration(spline, problem, level)
     best, stalled = None, 0
-    trust = level.trust
-    if _is_blended(start, problem) and problem.time_scale(spline) > _FAR_FROM_LIMITS:
+    trust, over = level.trust, 1.0 if spline.ends is None else problem.time_scale(spline)
+    if _is_blended(start, problem) and over > _FAR_FROM_LIMITS:
         trust = max(trust, _FAR_TRUST)
     for _ in range(level.steps):
         step = _step(spline, problem, trust, (_NEAR * level.gain, _OF_STEP))
@@ -262,9 +262,9 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
         trust = trust * _SHRINK if step.part < 1.0 else min(trust / _SHRINK, level.trust)
         stalled += step.part <= _STALLED
         if step.part > 0.0:
-            if level.is_brief and step.part == 1.0 and abs(step.time_scale - 1.0) < level.gain:
+            if level.is_brief and step.part == 1.0 and abs(step.time_scale - 1.0) < level.gain and over <= _REPAIRED:
                 return step.spline  # the limits are restored as pieces meet at samples
-            time_scale = problem.time_scale(step.spline)
+            time_scale = over = problem.time_scale(step.spline)
             if spline.ends is not None and time_scale > _REPAIRED:
                 spline = step.spline
                 continue

@@ -20,7 +20,7 @@ from hplan.certificate.limit_use import LimitUse
 from hplan.collision.compiled_field import ClearanceField
 from hplan.errors import CertificationError, TimingError
 from hplan.optimization.coarse_profile import coarse_profile
-from hplan.optimization.minimize_time import LONGEST_MOTION_S, OptimizerEffort, minimize_time
+from hplan.optimization.minimize_time import LONGEST_MOTION_S, OptimizerEffort, TimedMotion, minimize_time, rough_motion
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.several_starts import NEAR_PATH_M, fastest_motions, optimization_starts
 from hplan.optimization.smooth_path import clear_path, is_straight, near_field, short_path
@@ -39,6 +39,9 @@ _T = TypeVar("_T")
 
 #: Samples per second of a draft.
 _DRAFT_HZ = 100.0
+
+#: A draft that takes longer than this multiple of the lower bound on its duration is optimized coarsely.
+_SLOW_DRAFT = 3.0
 
 #: Certificate of a draft: nothing is proved about it.
 _NONE = Certificate(False, -math.inf, None, LimitUse(*[math.inf] * 4), 0, ("the motion is a draft",))
@@ -193,7 +196,11 @@ def _draft(problem: Problem, polylines: Sequence[Path], margin: float) -> Motion
         program = TimeProblem(field, field, processing, limits, robot.dynamics, problem.options.rate_hz)
         starts = [] if is_straight(paths[0], field, processing) else optimization_starts(paths, program)
         if starts:
-            number, profile, near = starts[0].number, starts[0].profile, starts[0].problem.near
+            number, near = starts[0].number, starts[0].problem.near
+            profile: TimedMotion = starts[0].profile
+            if problem.optimization is not None and profile.duration > _SLOW_DRAFT * problem.least_duration:
+                # From rest to rest programs are smaller than between states in motion.
+                profile = rough_motion(profile, starts[0].problem, problem.optimization) or profile
         else:
             number, profile = 0, coarse_profile(clear_path(paths[0], field, processing), processing)
     if not profile.duration < LONGEST_MOTION_S:

@@ -1,21 +1,24 @@
 """Plans from a start in motion: blended, or stopped first.
 
-The fastest motion in free space (`hplan.optimization.arrival`) is the plan if it is certified. Otherwise a motion
-planned from the current configuration at rest is blended with the initial state of motion and optimized with its timing
-(`hplan.optimization.minimize_time`). If this fails or does not apply, the arm stops as quickly as is collision-free,
+The fastest motion in free space (`hplan.optimization.arrival`) is the plan if it is certified. Otherwise a draft from
+rest at the end of a stop is overlapped with that stop, as early as is collision-free, and both are optimized together
+(`hplan.optimization.minimize_time`). Motions to fruit are planned from the current configuration at rest and blended
+with the initial state of motion. If this fails or does not apply, the arm stops as quickly as is collision-free,
 each joint on its own or on the path of the running motion, and a plan continues from there. Position, velocity and
 acceleration are continuous at the initial state in all cases.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Final, TypeAlias
 
 import numpy as np
 
-from hplan.base.arrays import frozen
+from hplan.base.arrays import FloatArray, frozen
 from hplan.certificate.certificate import LIMIT_TOLERANCE, Certificate, all_of
 from hplan.certificate.goal_contact import REST
 from hplan.certificate.start_state import start_state
@@ -29,7 +32,7 @@ from hplan.errors import (
     UnavoidableContactError,
 )
 from hplan.optimization.arrival import fastest_arrival
-from hplan.optimization.minimize_time import TimedMotion, minimize_time
+from hplan.optimization.minimize_time import Level, TimedMotion, minimize_time
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import RESTING, BoundaryState, TimedSpline, even_breaks
 from hplan.planning.motion import Motion, Plan, Solver, best_of, certificate_of, motion_limits, time_problem
@@ -47,6 +50,10 @@ StopMaker: TypeAlias = Callable[[], Trajectory]
 
 #: Fractions of the acceleration limits for stops, tried in turn.
 _PUSHES: Final = (1.0, 0.7, 0.4, 0.2)
+
+#: When a draft from the end of a stop begins, as fractions of the stop, tried in turn until both together are
+#: collision-free.
+_OVERLAPS: Final = (0.0, 0.5, 1.0)
 
 #: Extra acceleration of a joint that stops together with the slowest one [rad/s^2].
 _EXTRA_ACCELERATION: Final = 1e-3
@@ -92,9 +99,15 @@ def _plans_in_motion(problem: Problem, state: BoundaryState, solve: Solver, stop
             if direct is not None:
                 yield Plan(direct)
                 return
-            planned = solve(replace(problem, is_draft=is_draft))
-            for plan in planned if options.deadline_s is not None else [best_of(planned)]:
-                blended = _blend_start(plan, state)
+            stopped = _stop_before(problem, goal, state, stop) if isinstance(goal, Problem) else None
+            start = problem.start if stopped is None else stopped.position[-1]
+            planned = solve(replace(problem, is_draft=is_draft, start=start))
+            # With an effort to which every motion is close enough, the first draft is, too.
+            takes_first = is_draft and math.isinf(problem.effort.close)
+            is_timed = options.deadline_s is not None
+            for plan in islice(planned, 1) if takes_first else planned if is_timed else [best_of(planned)]:
+                whole = plan if stopped is None or not isinstance(goal, Problem) else _with_start(plan, goal)
+                blended = _blend_start(whole, state, stopped)
                 if blended is not None:
                     is_found = True
                     yield blended
@@ -138,10 +151,25 @@ def _is_within(problem: Problem, state: BoundaryState) -> bool:
     return not (fast | (np.abs(state.acceleration) > LIMIT_TOLERANCE * limits.acceleration)).any()
 
 
-def _blend_start(plan: Plan, state: BoundaryState) -> Plan | None:
+def _stop_before(problem: Problem, goal: Problem, state: BoundaryState, given: StopMaker | None) -> Trajectory | None:
+    """The first stop from a state, if a motion can go on from its end; otherwise None."""
+    found = next(stops(problem.robot, state, 1.0 / problem.options.rate_hz, given), None)
+    if found is None:
+        return None
+    end = found.position[-1]
+    is_within = ((goal.lower[0] <= end) & (end <= goal.upper[0])).all()
+    return None if not is_within or goal.field.in_collision(end[None], margin=goal.margin)[0] else found
+
+
+def _blend_start(plan: Plan, state: BoundaryState, stopped: Trajectory | None = None) -> Plan | None:
     """A plan with its transit blended with a state, or None.
 
     A transit that already begins in motion is optimized.
+
+    Args:
+        plan: The plan; with a stop its transit is from rest at the end of the stop.
+        state: State at the start.
+        stopped: Motion from the state to rest; None for a plan from the state's position, or from the state itself.
     """
     problem, transit = replace(plan.transit.problem, is_draft=False), plan.transit.trajectory
     if transit.samples == 1:
@@ -156,15 +184,13 @@ def _blend_start(plan: Plan, state: BoundaryState) -> Plan | None:
         program = _admitting(time_problem(problem, transit, ends, plan.transit.near), state)
         program = _with_constant_sway(program, transit)
         effort = problem.effort.begun
-        start: TimedMotion = transit
-        if not is_from_rest:
-            pieces = effort.levels[0].pieces_of(transit.duration, problem.options.rate_hz)
-            if pieces < 2 * RESTING:
-                return None
-            start = TimedSpline.approximate(transit.positions, even_breaks(transit.duration, pieces), ends)
-        else:
-            start = _slow_down(transit, state, program.limits)
-        spline = minimize_time(start, program, effort)
+        slow = _slow_down(transit, state, program.limits) if is_from_rest else transit
+        start: TimedMotion | None = slow
+        if stopped is not None:
+            start = _first_clear([_Overlapped(stopped, slow, part) for part in _OVERLAPS], program, effort.levels[0])
+        elif not is_from_rest:
+            start = _first_clear([slow], program, effort.levels[0])
+        spline = None if start is None else minimize_time(start, program, effort)
     if spline is None:
         return None
     trajectory = spline.trajectory(problem.robot.dynamics, problem.options.rate_hz)
@@ -175,6 +201,60 @@ def _blend_start(plan: Plan, state: BoundaryState) -> Plan | None:
         plan.transit, trajectory=trajectory, certificate=certificate, problem=problem, path=spline.path, near=None
     )
     return replace(plan, transit=blended)
+
+
+def _with_start(plan: Plan, goal: Problem) -> Plan:
+    """A draft from the end of a stop as the plan of the problem with the stop's start.
+
+    Its margin is the smaller one of both.
+    """
+    transit = plan.transit
+    spare = frozen(np.minimum(transit.problem.spare_clearances, goal.spare_clearances))
+    problem = replace(transit.problem, start=goal.start, spare_clearances=spare)
+    waypoints = frozen(np.vstack([goal.start, transit.waypoints]))
+    return replace(plan, transit=replace(transit, problem=problem, waypoints=waypoints))
+
+
+@dataclass(frozen=True, eq=False)
+class _Overlapped:
+    """A stop, and a motion from rest at its end that begins before the stop ends.
+
+    Attributes:
+        stop: Motion to rest.
+        onward: Motion from rest at its end.
+        part: Start of that motion as a fraction of the stop's duration.
+    """
+
+    stop: Trajectory
+    onward: Trajectory
+    part: float
+
+    @property
+    def duration(self) -> float:
+        """Duration [s]."""
+        return max(self.stop.duration, self.part * self.stop.duration + self.onward.duration)
+
+    def positions(self, clock: FloatArray) -> FloatArray:
+        """(k, dof) configurations at (k,) times [s]: the displacements add up."""
+        since = np.clip(clock - self.part * self.stop.duration, 0.0, self.onward.duration)
+        found: FloatArray = self.onward.positions(since) - self.onward.position[0]
+        found += self.stop.positions(np.minimum(clock, self.stop.duration))
+        return found
+
+
+def _first_clear(motions: Sequence[TimedMotion], program: TimeProblem, level: Level) -> TimedSpline | None:
+    """The first of some motions that is collision-free, or the last one, as a spline between the program's states.
+
+    None if it is too short.
+    """
+    for motion in motions:
+        pieces = level.pieces_of(motion.duration, program.rate_hz)
+        if pieces < 2 * RESTING:
+            return None
+        spline = TimedSpline.approximate(motion.positions, even_breaks(motion.duration, pieces), program.ends)
+        if motion is motions[-1] or program.is_clear(spline):
+            return spline
+    return None
 
 
 def _move_directly(problem: Problem, state: BoundaryState) -> Motion | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,15 +24,20 @@ from hplan.errors import (
 )
 from hplan.online.planner import Planner
 from hplan.online.splice import SplicedResult
+from hplan.online.splice import _state_at as state_at
+from hplan.optimization.timed_spline import BoundaryState
 from hplan.planning import start_in_motion
+from hplan.planning.effort import QUICK_START
 from hplan.planning.options import PlanOptions
+from hplan.planning.plan import plan
+from hplan.planning.plans import plans_from_rest
 from hplan.planning.problem import Problem
 from hplan.planning.result import PlanResult
 from hplan.robot.limits import least_duration_between
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
-from hplan.trajectory.trajectory import Trajectory
+from hplan.trajectory.trajectory import Trajectory, join_trajectories
 
 POST = post("post", 0.0, 1.1, 0.0, 1.5)
 BALL = Sphere(name="ball", center=at(90.0, 2.0, 1.0), radius=0.05)
@@ -173,7 +179,7 @@ def test_arm_need_not_stop_for_tracking_errors_that_grow_with_velocity(robot, de
 
 def test_without_a_blend_the_arm_stops_on_its_path_first(robot, monkeypatch):
     for name in ("_move_directly", "_blend_start"):
-        monkeypatch.setattr(start_in_motion, name, lambda plan, state: None)
+        monkeypatch.setattr(start_in_motion, name, lambda *_: None)
     planner, before = a_planner(robot, tracking_error=1e-4, tracking_delay_s=1e-3)
     planner.aim(goal=BACK)
     result = planner.replan(at=0.4, now=0.3)
@@ -184,6 +190,58 @@ def test_without_a_blend_the_arm_stops_on_its_path_first(robot, monkeypatch):
     np.testing.assert_allclose(
         result.trajectory.position[seam : seam + rows], stop.position[100 : 100 + rows], rtol=0, atol=1e-12
     )
+
+
+def test_stop_and_draft_from_its_end_overlap(robot):
+    _, before = a_planner(robot)
+    stop = before.trajectory.stop_at(0.4, robot)
+    scene = task(tuple(np.degrees(stop.position[-1])), BACK.joints_deg, [])
+    onward = plan(robot, scene, PlanOptions(effort="quick")).trajectory
+    one_after_other = join_trajectories([stop, onward])
+    for part in (0.0, 0.5, 1.0):
+        both = start_in_motion._Overlapped(stop, onward, part)
+        assert both.duration == pytest.approx(max(stop.duration, part * stop.duration + onward.duration))
+        ends = both.positions(np.array([0.0, both.duration]))
+        np.testing.assert_allclose(ends, [stop.position[0], onward.position[-1]], rtol=0, atol=1e-12)
+        clock = np.linspace(0.0, both.duration, 50)
+        if part == 1.0:
+            np.testing.assert_allclose(both.positions(clock), one_after_other.positions(clock), rtol=0, atol=1e-12)
+        alone = clock[clock <= part * stop.duration]
+        np.testing.assert_allclose(both.positions(alone), stop.positions(alone), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("clear", "chosen"), [((True,), 0), ((False, True), 1), ((False, False), 2)])
+def test_first_overlap_that_is_collision_free(robot, clear, chosen):
+    """The last one is taken without a look: its stop and its draft are clear."""
+    _, before = a_planner(robot)
+    stop, answers = before.trajectory.stop_at(0.4, robot), list(clear)
+    ends = tuple(BoundaryState.of_row(before.trajectory, row) for row in (0, -1))
+    program = SimpleNamespace(rate_hz=250.0, ends=ends, is_clear=lambda spline: answers.pop(0))
+    motions = [start_in_motion._Overlapped(stop, before.trajectory, part) for part in (0.0, 0.5, 1.0)]
+    spline = start_in_motion._first_clear(motions, program, QUICK_START.levels[0])
+    assert not answers
+    assert spline.duration == pytest.approx(motions[chosen].duration)
+
+
+def test_effort_to_which_every_motion_is_close_takes_the_first_draft(robot):
+    planner, before = a_planner(robot, effort="quick")
+    row = int(np.searchsorted(before.trajectory.time, 0.25))
+    planner.move("ball", center=on_the_way(robot, before.trajectory, 0.75))
+    scene = planner.scene.copy_unchecked({"start": state_at(before.trajectory, row)})
+    drafts = []
+
+    def solve(problem):
+        drafts.append(problem.is_draft)
+        yield next(plans_from_rest(problem))
+        pytest.fail("a second draft")
+
+    (found,) = start_in_motion.from_motion(solve)(Problem.from_scene(robot, scene, planner.options))
+    assert drafts == [True]
+    assert found.transit.certificate.verified
+    # The whole begins at the state, and so does what is said of it.
+    np.testing.assert_array_equal(found.transit.problem.start, before.trajectory.position[row])
+    np.testing.assert_array_equal(found.transit.waypoints[0], before.trajectory.position[row])
+    np.testing.assert_array_equal(found.transit.trajectory.velocity[0], before.trajectory.velocity[row])
 
 
 def test_free_way_is_the_fastest_motion_of_the_joints(robot):

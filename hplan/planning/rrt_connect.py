@@ -7,6 +7,8 @@ start and goal, not on the joint ranges: there is no grid.
 
 In a narrow passage nearly all extensions fail. A tree that is trapped there samples around its own nodes, and slides
 along the obstacles that stop it (compare Rodriguez et al. 2006, "An obstacle-based rapidly-exploring random tree").
+Most extensions fail near a node at which others have failed. Once the gradients of the clearances are known there,
+edges into an obstacle are refused without a distance query.
 
 Samples come from a seeded generator and the effort is counted in distance queries, so that the same problem gives the
 same path on every machine. If no path is found, nothing is proved.
@@ -14,6 +16,7 @@ same path on every machine. If no path is found, nothing is proved.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -58,6 +61,10 @@ _SLIDING, _TRAPPED, _LOCAL_SCALES, _LAST = 0.7, 0.9, any_int(3), 0.02
 #: the nearest first; and the cost of the gradients, in distance queries.
 _SLIDE_NEAR, _SLIDE_CLEAR, _SLIDE_BODIES, _SLIDE_LOOKS = 0.05, 0.04, any_int(2), any_int(3)
 
+#: Number of bodies whose gradients are known at a node, the nearest to obstacles first. An obstacle that they predict
+#: within this multiple of the minimum length of edges refuses an edge: short edges clutter the tree.
+_NEAR_BODIES, _AHEAD = any_int(4), 25.0
+
 #: Spreads consecutive numbers evenly over the nodes: the golden ratio.
 _GOLDEN = 0.6180339887498949
 
@@ -73,12 +80,17 @@ class Tree(NamedTuple):
         parents: (capacity,) numbers of the parent nodes.
         size: (1,) number of nodes.
         failed: (1,) moving average of the fraction of failed extensions toward samples.
+        clear: (capacity, bodies) clearances of the bodies nearest to obstacles at a node, the nearest first; the first
+            is NaN as long as no extension from the node has failed [m].
+        slopes: (capacity, bodies, dof) their gradients [m/rad, m/m].
     """
 
     points: FloatArray
     parents: IntArray
     size: IntArray
     failed: FloatArray
+    clear: FloatArray
+    slopes: FloatArray
 
 
 class Pair(NamedTuple):
@@ -236,8 +248,9 @@ def _tree(roots: FloatArray) -> Tree:
     """A tree with roots alone, each its own parent."""
     count, dof = roots.shape
     parents, size = np.zeros(_MOST_NODES, dtype=np.int64), np.array([count], dtype=np.int64)
-    tree = Tree(np.empty((_MOST_NODES, dof)), parents, size, np.zeros(1))
-    tree.points[:count], tree.parents[:count] = roots, np.arange(count)
+    near = _MOST_NODES, int(_NEAR_BODIES)
+    tree = Tree(np.empty((_MOST_NODES, dof)), parents, size, np.zeros(1), np.empty(near), np.empty((*near, dof)))
+    tree.points[:count], tree.parents[:count], tree.clear[:count] = roots, np.arange(count), np.nan
     return tree
 
 
@@ -306,28 +319,59 @@ def _slide(
     The target is moved by as little as possible, to first order, so that the bodies nearest to the obstacles get clear
     of them.
     """
-    q, field, weight = tree.points[node], arm.field, arm.metric.weight
-    count, dof = len(field.bodies) + len(field.pairs), len(q)
-    clear, slopes, along = np.empty(count), np.empty((count, dof)), np.empty(dof)
-    body_slopes(q, field, arm.joints, _SLIDE_NEAR, clear, slopes)
+    q, weight = tree.points[node], arm.metric.weight
+    dof = len(q)
+    along = np.empty(dof)
+    _find_near_bodies(tree, node, arm)
     looks[0] -= _SLIDE_LOOKS
     for i in range(dof):
         along[i] = target[i]
     is_moved = False
-    for _ in range(_SLIDE_BODIES):
-        nearest = int(np.argmin(clear))
-        missing, square = _SLIDE_CLEAR - clear[nearest], 0.0
+    for body in range(_SLIDE_BODIES):
+        clear, slope = tree.clear[node, body], tree.slopes[node, body]
+        missing, square = _SLIDE_CLEAR - clear, 0.0
         for i in range(dof):
-            missing -= slopes[nearest, i] * (along[i] - q[i])
-            square += (slopes[nearest, i] / weight[i]) ** 2
-        if clear[nearest] < _SLIDE_NEAR and square > 0.0 and missing > 0.0:
+            missing -= slope[i] * (along[i] - q[i])
+            square += (slope[i] / weight[i]) ** 2
+        if clear < _SLIDE_NEAR and square > 0.0 and missing > 0.0:
             is_moved = True
             for i in range(dof):
-                along[i] += missing * slopes[nearest, i] / weight[i] ** 2 / square
-        clear[nearest] = np.inf
+                along[i] += missing * slope[i] / weight[i] ** 2 / square
     for i in range(dof):
         along[i] = min(arm.upper[i], max(arm.lower[i], along[i]))
     return _extend(tree, node, along, arm, chain, looks) if is_moved else -1
+
+
+@kernel
+def _find_near_bodies(tree: Tree, node: int, arm: Surroundings) -> None:
+    """Write the clearances of the bodies nearest to obstacles at a node, and their gradients, unless they are known."""
+    if not math.isnan(tree.clear[node, 0]):
+        return
+    q, field = tree.points[node], arm.field
+    count, dof = len(field.bodies) + len(field.pairs), len(q)
+    clear, slopes = np.empty(count), np.empty((count, dof))
+    body_slopes(q, field, arm.joints, _SLIDE_NEAR, clear, slopes)
+    for body in range(_NEAR_BODIES):
+        nearest = int(np.argmin(clear))
+        tree.clear[node, body] = clear[nearest]
+        for i in range(dof):
+            tree.slopes[node, body, i] = slopes[nearest, i]
+        clear[nearest] = np.inf
+
+
+@kernel
+def _is_blocked(tree: Tree, node: int, end: FloatArray, length: float, arm: Surroundings) -> bool:
+    """True if, by the gradients that are known at a node, an edge of a length soon meets an obstacle (`_AHEAD`)."""
+    if math.isnan(tree.clear[node, 0]):
+        return False
+    start, part = tree.points[node], min(1.0, _AHEAD * arm.metric.shortest / length)
+    for body in range(_NEAR_BODIES):
+        slope, lost = tree.slopes[node, body], 0.0
+        for i in range(len(end)):
+            lost -= slope[i] * (end[i] - start[i])
+        if lost > 0.0 and tree.clear[node, body] - arm.margin < part * lost:
+            return True
+    return False
 
 
 @kernel
@@ -353,7 +397,7 @@ def _extend(
     """Extend a tree toward a target; the new node, or -1.
 
     The edge ends at the last verified configuration. With a chain its end is first projected onto the constraint, at a
-    distance of at most half of the step.
+    distance of at most half of the step. An edge that is refused by gradients counts as one distance query.
     """
     if tree.size[0] >= tree.points.shape[0]:
         return -1
@@ -367,15 +411,19 @@ def _extend(
         end[i] = target[i] if part == 1.0 else start[i] + part * (target[i] - start[i])
     if len(chain) > 0 and (not solve(chain, end) or _edge_length(end, target, weight) > length * (1.0 - 0.5 * part)):
         return -1
+    if length > 0.0 and _is_blocked(tree, node, end, part * length, arm):
+        looks[0] -= 1
+        return -1
     least = 0.5 * shortest / (part * length) if length > 0.0 else 0.0
     shown, used = shown_part(straight_piece(start, end), arm.field, arm.margin, least, LOOKS)
     looks[0] -= used
     if shown * part * length < shortest and not (shown == 1.0 and part == 1.0):
+        _find_near_bodies(tree, node, arm)
         return -1
     new = int(tree.size[0])
     for i in range(dof):
         tree.points[new, i] = end[i] if shown == 1.0 else start[i] + shown * (end[i] - start[i])
-    tree.parents[new] = node
+    tree.parents[new], tree.clear[new, 0] = node, math.nan
     tree.size[0] = new + 1
     return new
 

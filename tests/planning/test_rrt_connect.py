@@ -31,6 +31,7 @@ from hplan.planning.rrt_connect import (
     Pairs,
     Surroundings,
     _extend,
+    _find_near_bodies,
     _move_near_node,
     _slide,
     _tree,
@@ -151,12 +152,64 @@ def test_sliding_keeps_off_the_nearest_bodies(robot: Robot) -> None:
                 along += missing * scaled / metric.weight / (scaled @ scaled)
         along = np.clip(along, robot.lower, robot.upper)
         tree, other = _tree(q[None]), _tree(q[None])
+        _find_near_bodies(other, 0, arm)
         node = _slide(tree, 0, target, arm, (), np.array([1_000, 0]))
         expected = _extend(other, 0, along, arm, (), np.array([1_000, 0])) if (along != target).any() else -1
         assert node == expected
         if node > 0:
             slid += 1
             assert tree.points[1] == pytest.approx(other.points[1], abs=1e-9)
+
+
+def test_edges_into_an_obstacle_are_refused_once_its_gradient_is_known(robot: Robot) -> None:
+    """Compared with central differences of the clearances; without known gradients nothing is refused."""
+    problem, rng = slot(robot), np.random.default_rng(5)
+    metric, field = displacement_metric(problem), problem.field
+    arm = Surroundings(metric, field.arrays, MARGIN, problem.lower[0], problem.upper[0], problem.movable)
+    refused = free = 0
+    while min(refused, free) < 20:
+        q = np.clip(problem.goal + rng.normal(0.0, 0.02, robot.dof), robot.lower, robot.upper)
+        clear, target = field.link_clearances(q, 0.05), rng.uniform(robot.lower, robot.upper)
+        if clear.min() < 1e-3 or np.partition(clear, 4)[4] < 0.05:  # of five near bodies one is not looked at
+            continue
+        turn = target - q
+        turn *= min(1.0, metric.longest / (np.abs(turn) * metric.weight).max())
+        ahead = turn * min(1.0, 25.0 * metric.shortest / (np.abs(turn) * metric.weight).max())
+        step = 1e-6 * ahead
+        rate = (field.link_clearances(q + step, 0.06) - field.link_clearances(q - step, 0.06)) / 2e-6
+        left = np.where(clear < 0.05, clear + rate, np.inf).min() - MARGIN
+        if abs(left) < 1e-5:
+            continue
+        tree, looks = _tree(q[None]), np.array([1_000, 0])
+        _extend(tree, 0, target, arm, (), looks)
+        assert looks[0] < 1_000
+        tree, looks = _tree(q[None]), np.array([1_000, 0])
+        _find_near_bodies(tree, 0, arm)
+        node = _extend(tree, 0, target, arm, (), looks)
+        if left < 0.0:
+            refused += 1
+            assert (node, looks[0], tree.size[0]) == (-1, 999, 1)
+        else:
+            # What is not refused is as without known gradients.
+            free += 1
+            other, again = _tree(q[None]), np.array([1_000, 0])
+            assert _extend(other, 0, target, arm, (), again) == node
+            assert again[0] == looks[0]
+
+
+def test_gradients_are_computed_where_an_extension_has_failed(robot: Robot) -> None:
+    problem, rng = slot(robot), np.random.default_rng(6)
+    arm = Surroundings(
+        displacement_metric(problem), problem.field.arrays, MARGIN, problem.lower[0], problem.upper[0], problem.movable
+    )
+    failed = np.zeros(2, dtype=np.int64)
+    for _ in range(40):
+        tree = _tree(problem.goal[None])
+        node = _extend(tree, 0, rng.uniform(robot.lower, robot.upper), arm, (), np.array([1_000, 0]))
+        failed[int(node < 0)] += 1
+        assert np.isnan(tree.clear[0, 0]) == (node > 0)
+        assert node < 0 or np.isnan(tree.clear[node, 0])
+    assert failed.all()
 
 
 def test_samples_near_nodes_are_within_their_boxes(robot: Robot) -> None:

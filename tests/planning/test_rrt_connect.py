@@ -259,25 +259,29 @@ def with_others(problem: Problem, others: int) -> Problem:
 def test_second_path_has_to_promise_a_faster_motion(
     blocked: tuple[Problem, World], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In the same class it is faster than the optimized path, in another at most a little slower."""
-    problem, finder = blocked[0], hplan.planning.path_finder
+    """The nearer the optimized motion is to its bound, the faster the second path has to be."""
+    problem, finder, times = blocked[0], hplan.planning.path_finder, [1.0, 0.5, 0.9, 1.1, 3.0]
     optimized, *paths = (straight_path(problem) for _ in range(5))
-    classes, times = np.array([0, 0, 0, 3, 3]), iter([1.0, 0.9, 1.0, 1.1, 1.3])
-    monkeypatch.setattr(finder, "class_numbers", lambda *_: classes)
-    monkeypatch.setattr(finder, "path_time", lambda *_: next(times))
-    assert len(promising_paths(with_others(problem, 4), paths, optimized)) == 4
-    found = promising_paths(with_others(problem, 0), paths, optimized)
-    assert [id(path) for path in found] == [id(paths[0]), id(paths[2])]
+    numbers = {id(path): number for number, path in enumerate(paths)}
+    for is_all, factor, count in ((True, 1.0, 4), (False, 1.0, 0), (False, 1.2, 1), (False, 1.5, 2), (False, 1.7, 3)):
+        along = iter(times)
+        monkeypatch.setattr(finder, "path_time", lambda *_, along=along: next(along))
+        chosen = with_others(problem, 4 if is_all else 0)
+        found = promising_paths(chosen, paths, optimized, factor * problem.least_duration)
+        assert [numbers[id(path)] for path in found] == list(range(count))
 
 
 def test_paths_near_optimized_ones_are_left_out(blocked: tuple[Problem, World]) -> None:
-    """The optimized path itself, and a path in its class that takes as long."""
+    """The optimized path itself, and a path along which it takes as long, if its motion is near the bound."""
     problem = with_others(blocked[0], 0)
-    first = tree_paths(problem, 1, queries=50_000)
-    assert tree_paths(problem, 1, queries=50_000, known=first, grown=1, optimized=first) == []
-    again = [first[0], first[0]._replace(waypoints=np.array(first[0].waypoints))]
-    assert tree_paths(problem, 1, queries=50_000, known=again, grown=1, optimized=first) == []
-    assert len(tree_paths(problem, 1, queries=50_000, known=again, grown=1)) == 2
+    first, least_s = tree_paths(problem, 1, queries=50_000), problem.least_duration
+    assert tree_paths(problem, 1, queries=50_000, known=first, grown=1, known_s=9.0 * least_s) == []
+    _, grown = tree_paths(problem, 1, queries=50_000, known=first)
+    for times_bound, count in ((1.2, 0), (1.7, 1)):
+        found = tree_paths(problem, 1, queries=50_000, known=first, known_s=times_bound * least_s)
+        assert len(found) == count
+        assert all(np.array_equal(path.waypoints, grown.waypoints) for path in found)
+    assert len(tree_paths(problem, 1, queries=50_000, known=first)) == 2
 
 
 @pytest.mark.parametrize(("times_bound", "seconds"), [(None, 2), (1.0, 0), (2.0, 1)])

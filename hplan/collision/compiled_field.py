@@ -163,7 +163,7 @@ class ClearanceField(Record):
         if not idle.any():
             return self
         clear, gradient, arrays = np.empty(len(idle)), np.empty((len(idle), len(movable))), alone.arrays
-        for configuration in path[(alone.clearance_along(path, distance) < distance).any(axis=1)]:
+        for configuration in path:
             body_slopes(configuration, arrays, movable, distance, clear, gradient)
             idle &= (clear >= distance) | (clear > turn * np.abs(gradient).sum(axis=1))
         pairs = self.arm.pairs.copy()

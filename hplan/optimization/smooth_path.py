@@ -16,8 +16,9 @@ from hplan.robot.limits import least_duration, rest_to_rest
 from hplan.trajectory.corner_rounding import clear_rounding
 from hplan.trajectory.spline import SplinePath
 
-#: Numbers of control points of the optimizer's initial spline, tried in order: as few as suffice.
-_FAST_CONTROL_POINTS = (6, 8, 7, 9, 10, 12, 14, 17, 20, 25, 30, 44)
+#: Numbers of control points of the optimizer's initial spline, tried in order: about as few as suffice. Where none of
+#: them keeps the margin, the last one may keep a part of it.
+_FAST_CONTROL_POINTS = (6, 8, 10, 14, 20, 30, 44)
 
 #: Number of shortcuts tried before an optimization: a less taut path has more clearance.
 START_SHORTCUTS = 25
@@ -53,7 +54,8 @@ def clear_path(path: FloatArray, field: ClearanceField, options: PostprocessOpti
     near = near_field(path, field, NEAR)
     # Any collision-free spline suffices here: a failed attempt costs milliseconds, and more control points succeed more
     # often.
-    found = clear_start(path, near, options, (6, 10, 14, 20, 30, 44, 8, 12))
+    counts = (6, 10, 14, 20, 30, 44, 8, 12)
+    found = clear_start(path, near, options, counts, counts)
     if found is not None and (near is field or found.is_clear(field, 0.5 * smallest)):
         return found
     return clear_rounding(shorten(path, field, margin=smallest), field, margin=smallest)
@@ -110,6 +112,7 @@ def clear_start(
     field: ClearanceField,
     options: PostprocessOptions,
     counts: Sequence[int] = _FAST_CONTROL_POINTS,
+    reduced: Sequence[int] = _FAST_CONTROL_POINTS[-1:],
 ) -> SplinePath | None:
     """Collision-free spline along a path, as an optimizer's initial guess.
 
@@ -118,12 +121,13 @@ def clear_start(
     Args:
         path: (m, dof) waypoints, collision-free, m >= 2. The resulting spline is verified, the path is not.
         counts: Numbers of control points, tried in order.
+        reduced: The same for a quarter of the margin.
     """
     if np.linalg.norm(path[-1] - path[0]) < _NO_MOTION:
         return None
-    for margin in (options.margin, 0.25 * options.margin):
+    for margin, numbers in ((options.margin, counts), (0.25 * options.margin, reduced)):
         taut = shorten(path, field, margin=margin, rounds=START_SHORTCUTS)
-        for count in counts:
+        for count in numbers:
             spline = clear_spline(taut, field, options, count=count, margin=margin)
             if spline is not None:
                 return spline
@@ -140,7 +144,7 @@ def rounded_start(path: FloatArray, field: ClearanceField, options: PostprocessO
     """
     smallest = SMALLEST_FRACTION * options.margin
     try:
-        return clear_rounding(shorten(path, field, margin=smallest), field, margin=smallest)
+        return clear_rounding(shorten(path, field, margin=smallest, rounds=START_SHORTCUTS), field, margin=smallest)
     except CertificationError:
         return None
 

@@ -32,7 +32,7 @@ from hplan.trajectory.retime import KEPT
 #: Accuracy of the time scale in the last step; in other steps as a fraction of the gain below which a level ends, and
 #: of the gain of the step, whichever is larger. A coarser accuracy can select a longer path among motions of equal
 #: duration.
-_EXACT, _NEAR, _OF_STEP = 1e-6, 0.02, 0.005
+_EXACT, _NEAR, _OF_STEP = 1e-5, 0.02, 0.005
 
 #: Initial trust region when pieces are moved to meet at samples [rad], and the factor that shrinks it after a step that
 #: is not collision-free as a whole.
@@ -75,7 +75,8 @@ class Level:
         pieces: Minimum and maximum number of pieces.
         steps: Maximum number of steps.
         gain: The level ends after the first step that shortens the motion by less than this fraction, scaled by the
-            fraction of the step that was collision-free.
+            fraction of the step that was collision-free; also the first step of a level that starts from the result of
+            the level before.
         trust: Maximum change of a control point in a joint in the first step [rad].
         is_brief: True to solve few programs: a step as a whole from within the limits that changes the duration by less
             than `gain` ends the level even if it is the first, and the last step is less accurate, with as many pieces.
@@ -251,7 +252,9 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
         return None
     spline = _initial_spline(start, problem, even_breaks(start.duration, pieces))
     enough_s = _sufficient_duration(spline, problem, level)
-    best, stalled = None, 0
+    best, stalled, before = None, 0, math.inf
+    if isinstance(start, TimedSpline) and not _is_blended(start, problem):
+        before = start.duration * _torque_scale(start, problem)  # as slow as its torques require
     trust, over = level.trust, 1.0 if spline.ends is None else problem.time_scale(spline)
     if _is_blended(start, problem) and over > _FAR_FROM_LIMITS:
         trust = max(trust, _FAR_TRUST)
@@ -273,11 +276,11 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
             # The next program corrects torques beyond their limits, which costs less time than slowing down.
             over = _torque_scale(moved, problem)
             kept = moved if over == 1.0 else moved.at_time_scale(over)
-            before = math.inf if best is None else best.duration
-            if kept.duration < before:
+            if best is None or kept.duration < best.duration:
                 best, spline = kept, moved
             if kept.duration > (1.0 - level.gain * step.part) * before or kept.duration <= enough_s:
                 break
+            before = best.duration
         if stalled == _STALLS:
             break
     return best

@@ -96,7 +96,7 @@ EFFORTS: dict[EffortName, Effort] = {
         starts=OptimizerEffort(
             (
                 replace(COARSE, gain=0.02, trust=0.6, enough=7e-3),
-                replace(LAST, steps=3, trust=0.2, enough=2e-3),
+                replace(LAST, steps=3, gain=0.03, trust=0.2, enough=2e-3),
             ),
             rough=2,
         ),

@@ -430,3 +430,22 @@ def test_level_ends_at_a_program_without_a_solution(task: Problem, monkeypatch: 
     monkeypatch.setattr(minimize_time_module, "with_rows", lambda rows, more: rows)
     assert rough_motion(bent(task, 1), problem_of(task), EFFORT) is None
     assert len(solved) == 2 * 2
+
+
+def test_level_after_another_ends_at_its_first_step_if_that_gains_little(
+    task: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its start counts as the step before, but not where a path alone is the start."""
+    problem, effort, steps = problem_of(task), EFFORTS["default"].starts, list[float]()
+    coarse, step = rough_motion(bent(task, 0), problem, effort), minimize_time_module._step
+    assert coarse is not None
+    monkeypatch.setattr(
+        minimize_time_module, "_step", lambda spline, *rest: steps.append(spline.duration) or step(spline, *rest)
+    )
+    for start, gain, is_one in ((coarse, 0.5, True), (coarse, 1e-9, False), (bent(task, 0), 0.5, False)):
+        level = replace(effort.levels[-1], gain=gain, enough=0.0)
+        found = minimize_time_module._of_level(start, problem, level)
+        assert found is not None
+        assert found.duration < start.duration
+        assert (len(steps) == 1) == is_one
+        steps.clear()

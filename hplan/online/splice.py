@@ -32,6 +32,7 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.collision.held_objects import holding
 from hplan.errors import HplanError, InputError, NotOnMotionError, RunningMotionBlockedError, UnavoidableContactError
 from hplan.planning.in_time import without_moving
+from hplan.planning.motion import require_certificate
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import solve_scene
 from hplan.planning.problem import Problem
@@ -286,6 +287,7 @@ class RunningMotion:
         parts = _shift_certificate(until, self.begins_s), _shift_certificate(new.certificate, -seam_s)
         contacts = tuple(contact for part in parts for contact in part.contacts if contact.end_s > contact.begin_s)
         certificate = replace(all_of(parts), goal_contact=new.certificate.goal_contact, contacts=contacts)
+        require_certificate(replace(new.motion.problem, options=self._options), certificate)
         phases = [phase.delay(seam_s) for phase in new.phases]
         phases[0] = replace(phases[0], start_s=0.0)
         return self._result(new, phases, whole, certificate, seam_s, is_kept=False)

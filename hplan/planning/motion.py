@@ -469,6 +469,19 @@ def certificate_of(
         )
 
 
+def require_whole(problem: Problem, plan: Plan) -> Plan:
+    """A plan of certified motions, if it is verified as a whole or need not be.
+
+    A fruit that is grasped counts what earlier motions have pushed.
+
+    Raises:
+        CertificationError: The options require a certificate, and that of the whole is not verified.
+    """
+    if plan.others and problem.scene.wood is not None and not problem.is_draft:
+        require_certificate(problem, plan.join_phases[2])
+    return plan
+
+
 def require_certificate(problem: Problem, certificate: Certificate) -> Certificate:
     """The given certificate, if it is verified or need not be.
 

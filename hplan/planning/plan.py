@@ -19,7 +19,7 @@ from hplan.errors import CertificationError, HplanError, NoPathError, TimingErro
 from hplan.planning.at_risk import within_risk
 from hplan.planning.in_time import past_moving_obstacles
 from hplan.planning.less_force import with_less_force
-from hplan.planning.motion import Motion, Plan, Solver, best_of, motion_limits, seconds
+from hplan.planning.motion import Motion, Plan, Solver, best_of, motion_limits, require_certificate, seconds
 from hplan.planning.options import PlanOptions
 from hplan.planning.plans import plans_from_rest, with_reuse
 from hplan.planning.pose_goal import FEW_STARTS, STARTS
@@ -159,6 +159,7 @@ def solve_scene(
                 result = plan_result(best_of(found)) if options.deadline_s is None else _last_in_time(found, limit)
             except TimeIsUpError:
                 raise limit.error(clock.describe()) from None
+            require_certificate(problem, result.certificate)
             LOG.info(
                 "plan for scene %r: %.3f s, clearance %.2f mm, %s, planned in %.0f ms",
                 problem.scene.name, result.trajectory.duration, 1e3 * result.certificate.min_clearance_m,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -27,7 +28,7 @@ from hplan.planning.approach import Approach, blend
 from hplan.planning.effort import Effort, efforts_of
 from hplan.planning.failures import FailuresError, mark_approach
 from hplan.planning.grasps import COUNT, SPARE, Grasp, Target, grasps, select_promising
-from hplan.planning.motion import Motion, Plan, Solver
+from hplan.planning.motion import Motion, Plan, Solver, require_whole
 from hplan.planning.pose_goal import configurations_at, goal_pose
 from hplan.planning.problem import Problem, merge_problems
 from hplan.planning.solver import motions, prove_each_goal, reuse_motion
@@ -165,7 +166,8 @@ def _to_target(problem: Problem, target: Target) -> Iterator[Plan]:
     approach, plan = quickest
     non_stop = blend(plan.transit.problem, plan.transit, None, approach) if plan.others else None
     if non_stop is not None and non_stop[2] is not None:
-        yield replace(plan, transit=non_stop[1], others=(non_stop[2], *plan.others[1:]))
+        with suppress(CertificationError):
+            yield require_whole(problem, replace(plan, transit=non_stop[1], others=(non_stop[2], *plan.others[1:])))
 
 
 def plans_to_grasps(
@@ -217,7 +219,7 @@ def plans_to_grasps(
                 for place, transit in motions(merge_problems([problems[number] for number in left])):
                     approach = Approach(problem, target, ordered[left[place]])
                     try:
-                        plan = Plan(transit, approach.motions, approach.grasp)
+                        plan = require_whole(problem, Plan(transit, approach.motions, approach.grasp))
                     except (CertificationError, TimingError) as error:
                         failures[left[place]] = mark_approach(error.with_traceback(None))
                         if not is_found:

@@ -311,9 +311,16 @@ class TourPlanner:
             if left:
                 motions = self._motions(scene, motions.end(stage.visits)) if is_found else self._whole
             is_firm = False
-        if not stages:
-            raise TourError([(item.fruit, item.error) for item in unreached])
-        return self._result(stages, unreached)
+        while stages:
+            result = self._result(stages, unreached)
+            try:
+                require_certificate(self.problem, result.certificate)
+            except CertificationError as error:
+                # What earlier legs push may displace the fruit of later ones, which are left then.
+                unreached += [Unreached(name, error.with_traceback(None)) for name in stages.pop().motions.fruits]
+            else:
+                return result
+        raise TourError([(item.fruit, item.error) for item in unreached])
 
     def costs(self, names: Collection[str]) -> tuple[dict[str, FloatArray], Costs]:
         """Return `Motions.costs` for the named fruits that are reachable among all others."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -14,8 +14,8 @@ import pytest
 import hplan
 from hplan import PlanOptions, Trajectory
 from hplan.base.arrays import FloatArray
-from hplan.certificate.certificate import Certificate
-from hplan.errors import HplanError
+from hplan.certificate.certificate import Certificate, all_of
+from hplan.errors import CertificationError, HplanError
 from hplan.planning import motion
 from hplan.planning.less_force import LONGER
 from hplan.planning.problem import Problem
@@ -93,3 +93,22 @@ def test_motions_are_not_slowed_down_without_end(fraction: float, slowed: int, m
     monkeypatch.setattr(motion, "gentle_speeds", slow_down)
     assert motion.certify_gently(problem, plan.trajectory) == (plan.trajectory, refused)
     assert len(tried) == 1 + slowed
+
+
+@pytest.mark.parametrize("refused", [1, 1000])
+def test_a_plan_is_certified_as_a_whole(refused: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Motions that are each certified may together displace the fruit: the next grasp is taken, or none."""
+    asked = list[Certificate]()
+
+    def joined(parts: list[Certificate]) -> Certificate:
+        found = all_of(parts)
+        asked.append(found)
+        return found if len(asked) > refused else replace(found, verified=False, violations=("the fruit is displaced",))
+
+    monkeypatch.setattr(motion, "all_of", joined)
+    scene = scene_of("orchard-row", bends=True)
+    with pytest.raises(CertificationError, match="displaced") if refused > 1 else nullcontext():
+        assert hplan.plan(robot(), scene, PlanOptions(effort="quick")).certificate.verified
+    assert len(asked) > 1
+    unasked = hplan.plan(robot(), scene, PlanOptions(effort="quick", certify=False)) if refused > 1 else None
+    assert unasked is None or not unasked.certificate.verified

@@ -15,12 +15,14 @@ from small_tree import TREE
 import hplan
 from hplan.apps.cli.main import main
 from hplan.base.arrays import FloatArray
+from hplan.certificate.certificate import Certificate, all_of
 from hplan.errors import InputError, OptionError, TourError
 from hplan.robot.model import Robot, load_robot
 from hplan.scene import Wood, with_limbs
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box
 from hplan.scene.orchard import MeasuredOptions, measured_orchard
+from hplan.tour import tour as touring
 from hplan.tour.row import BaseStop, RowOptions, RowResult, cover, plan_row, reach_in_turn, within_reach
 from hplan.tour.tour import plan_tour
 
@@ -240,3 +242,24 @@ def test_tour_pushes_limbs_only_for_fruit_that_need_it(arm: Robot, scene: Scene)
     assert bending.order == rigid.order
     assert bending.duration == rigid.duration
     assert not bending.certificate.pushes
+
+
+def test_tour_that_is_not_certified_as_a_whole_leaves_fruit(
+    arm: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What earlier legs push may displace the fruit of later ones."""
+    bending = with_limbs(scene, Wood(contact_force=6.0, wood_stress_mpa=20.0)).with_values(clearance=0.03)
+    stops = plan_row(arm, bending, QUICK, row=replace(COARSE, both=False)).stops
+    pushing = next(stop.tour for stop in stops if stop.tour.certificate.pushes)
+
+    def displaced(parts: list[Certificate]) -> Certificate:
+        found = all_of(parts)
+        return replace(found, verified=False, violations=("displaced",)) if found.pushes else found
+
+    monkeypatch.setattr(touring, "all_of", displaced)
+    found = plan_tour(arm, pushing.scene, QUICK, fruits=pushing.order)
+    assert found.certificate.verified
+    assert not found.certificate.pushes
+    assert set(found.order) < set(pushing.order)
+    left = {item.fruit for item in found.unreached if "displaced" in item.error.message}
+    assert left == set(pushing.order) - set(found.order)

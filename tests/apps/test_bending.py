@@ -97,6 +97,23 @@ def test_stress_of_a_cantilever_is_that_of_its_clamp() -> None:
     assert limb.monitor.bending_stress()[1] == pytest.approx(expected, rel=0.01)
 
 
+def test_stalk_bears_the_weight_and_what_pushes_the_fruit() -> None:
+    mujoco, apple = import_mujoco(), fruit("apple", 0.0, 1.4, 1.25)
+    spec = mujoco.MjSpec()
+    bodies = WoodBodies(mujoco, spec, Limbs.of([TRUNK, SHOOT]), Wood(), BendingTrees())
+    bodies.add_limbs(["shoot"])
+    bodies.add_fruits([apple], ["apple"])
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    monitor = TreeMonitor(mujoco, model, data, bodies)
+    weight = 9.81 * Wood().fruit_density * 4.0 / 3.0 * math.pi * apple.radius**3
+    assert monitor._weights == pytest.approx([weight], rel=1e-6)
+    data.xfrc_applied[model.body("fruit:apple").id, 1] = 0.3
+    for _ in range(20_000):
+        mujoco.mj_step(model, data)
+    assert np.linalg.norm(monitor._stalk_forces()) == pytest.approx(math.hypot(weight, 0.3), rel=1e-3)
+
+
 def sweep(robot: Robot, *obstacles: Capsule, seconds: float = 2.0, fruits: Any = (), **trees: float) -> Execution:
     """The arm sweeps sideways through what is in front of it."""
     scene = task(START, GOAL, [TRUNK, *obstacles], fruits=fruits, wood=Wood())

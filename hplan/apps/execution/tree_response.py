@@ -35,7 +35,8 @@ class LimbContact:
         begin_s: Time of the first contact [s].
         end_s: Time of the last contact [s].
         force_s: Time of the largest force [s].
-        force_n: Largest sum of the normal forces [N].
+        force_n: Largest sum of the normal forces; for a fruit the most by which the force on its stalk exceeds that at
+            rest, as certificates bound it [N].
         stress_mpa: Largest bending stress between the clamp and the limb's end, during contact [MPa]; 0 for fruit.
         deflection_m: Largest displacement of the limb at the contact [m].
         is_fruit: True for a fruit.
@@ -192,6 +193,9 @@ class TreeMonitor:
         self.max_stress_pa = np.zeros(len(bodies.limbs.names))
         self._stress = self.max_stress_pa.copy()
         self._last_contact_s = -math.inf
+        mujoco.mj_forward(model, data)
+        #: (k,) forces of the stalks at rest [N].
+        self._weights = np.linalg.norm(self._stalk_forces(), axis=1)
         self._contacts: dict[tuple[str, str], _Extremes] = {}
         self._broken: dict[str, Damage] = {}
         self._knocked_off: dict[str, Damage] = {}
@@ -212,11 +216,12 @@ class TreeMonitor:
         elif self.bodies.trees.wind is None and self._data.time > self._last_contact_s + _SETTLES_S:
             return
         self._note_stress()
+        stalks = self._stalk_forces()
         for (link, obstacle), numbers in contacts.items():
-            self._note_contact(link, obstacle, numbers)
-        self._note_stalks()
+            self._note_contact(link, obstacle, numbers, stalks)
+        self._note_stalks(stalks)
 
-    def _note_contact(self, link: str, obstacle: str, numbers: Sequence[int]) -> None:
+    def _note_contact(self, link: str, obstacle: str, numbers: Sequence[int], stalks: FloatArray) -> None:
         model, data, time_s = self._model, self._data, float(self._data.time)
         force, wrench, deflection = 0.0, np.zeros(6), 0.0
         for number in numbers:
@@ -228,6 +233,9 @@ class TreeMonitor:
             local = data.xmat[body].reshape(3, 3).T @ (contact.pos - data.xpos[body])
             deflection = max(deflection, math.dist(contact.pos - local, self._rest_of[geom]))
         is_fruit = obstacle not in self._limb_rows
+        if is_fruit:  # a blow on the fruit itself does not reach the stalk
+            row = self._fruit_rows[obstacle]
+            force = max(0.0, math.hypot(*stalks[row]) - float(self._weights[row]))
         path = () if is_fruit else self.bodies.limbs.path(self._limb_rows[obstacle])
         stress = 1e-6 * max((float(self._stress[row]) for row in path), default=0.0)
         known = self._contacts.setdefault((link, obstacle), _Extremes(time_s, is_fruit))
@@ -258,14 +266,18 @@ class TreeMonitor:
             found[self._bent] = np.sqrt(np.maximum.reduceat(largest, self._first))
         return found
 
-    def _note_stalks(self) -> None:
-        """Release fruit whose stalk is loaded beyond its strength."""
-        if len(self._released) == len(self._fruit_rows):
-            return
+    def _stalk_forces(self) -> FloatArray:
+        """(k, 3) forces of the stalks on the fruit in the current state [N]."""
+        if not len(self._fruit_ids):
+            return np.zeros((0, 3))
         self._mujoco.mj_rnePostConstraint(self._model, self._data)
-        forces = self._data.cfrc_int[self._fruit_ids, 3:]
-        forces = np.sqrt(np.einsum("ij,ij->i", forces, forces))
-        if forces.max() <= self.bodies.trees.stalk_strength_n:
+        found: FloatArray = self._data.cfrc_int[self._fruit_ids, 3:].copy()
+        return found
+
+    def _note_stalks(self, stalks: FloatArray) -> None:
+        """Release fruit whose stalk is loaded beyond its strength."""
+        forces = np.sqrt(np.einsum("ij,ij->i", stalks, stalks))
+        if len(self._released) == len(self._fruit_rows) or forces.max() <= self.bodies.trees.stalk_strength_n:
             return
         for row in np.flatnonzero(forces > self.bodies.trees.stalk_strength_n).tolist():
             name = self.bodies.fruits[row].name

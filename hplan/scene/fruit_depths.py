@@ -126,7 +126,7 @@ def permitted_fruit_contacts(
         hanging: Fruit on limbs.
         alone: The same without neighbours.
         near: Their neighbours with the rooms that `hplan.scene.neighbour_rooms` finds.
-        behind: What these may be pressed against, by their places.
+        behind: Obstacles that these may be pressed against, by their places.
     """
     depth, per_depth = alone.depth.copy(), hanging.force / np.maximum(alone.whole, TINY)
     count = len(depth)

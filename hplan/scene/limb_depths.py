@@ -1,7 +1,7 @@
 r"""Permitted depths of parts of limbs, with the neighbours that they are pushed against.
 
 A link pushes a part by :math:`\delta \le d (1 - l |u \cdot s|)` along u (`hplan.scene.limb_parts`) with the force f.
-Neighbours stop the part, and what it carries along, behind gaps :math:`g_i` with the forces :math:`N_i \ge 0` along
+Neighbours stop the part, and all that it carries along, behind gaps :math:`g_i` with the forces :math:`N_i \ge 0` along
 :math:`n_i`. Let :math:`\langle a, b \rangle` be the displacement along a by a unit force along b. The limb is displaced
 by :math:`p = f u - \sum N_i n_i`, where :math:`\langle u, p \rangle = \delta`, and
 :math:`\langle n_i, p \rangle = g_i + z_i` if the neighbour is displaced by :math:`z_i`. With
@@ -58,7 +58,7 @@ _HALVINGS: Final = 24
 
 
 class LimbNeighbours(NamedTuple):
-    """Parts of limbs, what they carry along, and its neighbours.
+    """Parts of limbs, the items that they carry along, and the neighbours of these.
 
     Attributes:
         depth: (k,) maximum depth of each part without neighbours [m].
@@ -140,9 +140,9 @@ def permitted_limb_contacts(
 
     Args:
         parts: Parts of limbs.
-        found: What `limb_neighbours` finds.
+        found: Result of `limb_neighbours`.
         near: Its neighbours with the rooms that `hplan.scene.neighbour_rooms` finds.
-        behind: What these may be pressed against, by their places.
+        behind: Obstacles that these may be pressed against, by their places.
         limbs: All limbs.
         hanging: All fruit that hang from them.
         wood: Limits and properties.

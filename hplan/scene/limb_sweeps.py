@@ -15,7 +15,7 @@ Beyond x a limb moves as a rigid body: with the rotation per deflection :math:`\
 :math:`|u|` is also at most :math:`d (r_x + |y - x| \theta)`.
 
 An obstacle with the stiffness k behind a gap g at y acts at x as one with the stiffness :math:`r^2 k` behind
-:math:`g / r`: the limb gives way in between, which only lessens the force.
+:math:`g / r`: the limb yields in between, which only lessens the force.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-r"""How far neighbours of pushed limbs and fruit may be displaced, with what stands behind them.
+r"""How far neighbours of pushed limbs and fruit may be displaced, with the obstacles behind them.
 
 **Limbs.** A neighbour with the stiffness s at its contact that is displaced by z, and touches nothing else, takes the
 force s z, and displaces a point of its limb by at most :math:`r z \sqrt{s / k}`, with r and k of
@@ -66,7 +66,7 @@ class NeighbourRooms:
     def find(
         self, near: Neighbours, by_segment: IntArray, by_fruit: IntArray
     ) -> tuple[Neighbours, dict[int, Neighbours]]:
-        """Neighbours as they yield with what stands behind them.
+        """Neighbours as they yield with the obstacles behind them.
 
         Args:
             near: (n,) neighbours.
@@ -74,7 +74,7 @@ class NeighbourRooms:
             by_fruit: (n,) number of the fruit that pushes it; -1 for none.
 
         Returns:
-            The neighbours, and what fruit among them may be pressed against, by the places of these.
+            The neighbours, and the obstacles that fruit among them may be pressed against, by the places of these.
         """
         stiffness, room, behind = near.stiffness.copy(), near.depth.copy(), dict[int, Neighbours]()
         rows = np.flatnonzero((near.fruit < 0) & np.isfinite(near.stiffness))
@@ -114,7 +114,7 @@ class NeighbourRooms:
         return found
 
     def _push_of_fruit(self, fruit: int, by_segment: int, by_fruit: int) -> tuple[FruitPush, Neighbours]:
-        """Push of a fruit by a segment or another fruit, and what it may be pressed against."""
+        """Push of a fruit by a segment or another fruit, and the obstacles that it may be pressed against."""
         near = self._next_to_fruit.get(fruit, self._nothing)
         is_pusher = np.where(near.fruit >= 0, near.fruit == by_fruit, (near.segment == by_segment) & (by_segment >= 0))
         others, key = near.at(~is_pusher), (fruit, is_pusher.tobytes())

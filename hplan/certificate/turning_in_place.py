@@ -84,9 +84,10 @@ def _bounds_in_place(checker: CoalScene, span_s: tuple[float, float], most: floa
 
 
 def _compute_bounds(checker: CoalScene, span_s: tuple[float, float], most: float) -> dict[tuple[str, str], float]:
-    bounds = dict[tuple[str, str], float]()
+    bounds, (centres, radii) = dict[tuple[str, str], float](), _balls_in(checker, span_s)
     for base in base_bodies(checker.robot):
-        for number in _nearby_obstacles(base, checker, span_s, most) if base.body.joint != GROUND else ():
+        near = np.linalg.norm(centres - base.centre, axis=1) - radii - base.radius <= most
+        for number in np.flatnonzero(near).tolist() if base.body.joint != GROUND else ():
             solid, growth = checker.grown_obstacles[number]
             movement = None if checker.moving is None else checker.moving.movements[number]
             off = growth + float(distance_errors(extents([base.shape]), [solid], np.zeros((0, 2, 3)))[0])
@@ -100,17 +101,14 @@ def _compute_bounds(checker: CoalScene, span_s: tuple[float, float], most: float
     return bounds
 
 
-def _nearby_obstacles(base: BaseBody, checker: CoalScene, span_s: tuple[float, float], most: float) -> list[int]:
-    """Indices of obstacles that may come within `most` of a body [m], by balls around them."""
+def _balls_in(checker: CoalScene, span_s: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+    """(n, 3) centres and (n,) radii of balls that each hold a grown obstacle during a time interval [m]."""
     centres, radii = checker.obstacle_balls[:, :3].copy(), checker.obstacle_balls[:, 3].copy()
     if checker.moving is not None:
         rows = list(checker.moving.numbers)
         centres[rows], radii[rows] = checker.moving.swept_balls(*span_s)
         radii[rows] += [checker.grown_obstacles[row][1] for row in rows]
-    found: list[int] = np.flatnonzero(
-        np.linalg.norm(centres - base.centre, axis=1) - radii - base.radius <= most
-    ).tolist()
-    return found
+    return centres, radii
 
 
 def _lower_bound(

@@ -122,7 +122,12 @@ class MovingSolids(Record):
     @cached_property
     def numbers(self) -> tuple[int, ...]:
         """Indices of the moving obstacles."""
-        return tuple(number for number, movement in enumerate(self.movements) if movement is not None)
+        return tuple(number for number, _ in self._moving)
+
+    @cached_property
+    def _moving(self) -> tuple[tuple[int, Movement], ...]:
+        """The moving obstacles, by index, with their movements."""
+        return tuple((number, how) for number, how in enumerate(self.movements) if how is not None)
 
     @cached_property
     def _distinct(self) -> tuple[tuple[Movement, tuple[tuple[int, pin.SE3], ...]], ...]:
@@ -164,8 +169,7 @@ class MovingSolids(Record):
     @cached_property
     def _drifting(self) -> tuple[tuple[int, Movement], ...]:
         """Obstacles that may leave their tracks, with their movements."""
-        listed = enumerate(self.movements)
-        return tuple((n, how) for n, how in listed if how is not None and how.own.drift is not None)
+        return tuple((number, how) for number, how in self._moving if how.own.drift is not None)
 
     @cached_property
     def known_until(self) -> tuple[float, str]:
@@ -201,18 +205,12 @@ class MovingSolids(Record):
     @cached_property
     def rates(self) -> dict[int, FloatArray]:
         """Upper bounds of the moving obstacles' point speeds between the breaks of their movements, by number [m/s]."""
-        pairs = zip(self.movements, self.solids, strict=True)
-        return {n: how.rates(solid.core, solid.rounding) for n, (how, solid) in enumerate(pairs) if how is not None}
+        return {n: how.rates(self.solids[n].core, self.solids[n].rounding) for n, how in self._moving}
 
     @cached_property
     def travelled(self) -> dict[int, FloatArray]:
         """Upper bounds of the moving obstacles' travel up to the breaks of their movements, by number [m]."""
-        found = dict[int, FloatArray]()
-        for number, rates in self.rates.items():
-            movement = self.movements[number]
-            if movement is not None:
-                found[number] = np.concatenate([[0.0], np.cumsum(rates * np.diff(movement.breaks))])
-        return found
+        return {n: np.concatenate([[0.0], np.cumsum(self.rates[n] * np.diff(how.breaks))]) for n, how in self._moving}
 
     @cached_property
     def _balls(self) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -236,8 +234,7 @@ class MovingSolids(Record):
         places: FloatArray = np.einsum("kij,kj->ki", rotations[which], centres) + shifts[which]
         ways = [
             np.subtract(*np.interp((end_s, begin_s), movement.breaks, self.travelled[number]))
-            for number, movement in enumerate(self.movements)
-            if movement is not None
+            for number, movement in self._moving
         ]
         spreads = self.spreads(begin_s)
         return places, radii + ways + (0.0 if spreads is None else spreads[list(self.numbers)])
@@ -255,15 +252,13 @@ class MovingSolids(Record):
         rows: dict[bytes, int] = {}
         found: list[FloatArray] = []
         group_of = np.full(len(self.solids), -1)
-        for number in self.numbers:
-            movement = self.movements[number]
-            if movement is not None:
-                travel = largest_interval_rates(movement.breaks, self.rates[number], clock)
-                travel *= np.diff(clock)
-                group = rows.setdefault(travel.tobytes(), len(rows))
-                group_of[number] = group
-                if group == len(found):
-                    found.append(travel)
+        for number, movement in self._moving:
+            travel = largest_interval_rates(movement.breaks, self.rates[number], clock)
+            travel *= np.diff(clock)
+            group = rows.setdefault(travel.tobytes(), len(rows))
+            group_of[number] = group
+            if group == len(found):
+                found.append(travel)
         return np.array(found), frozen(group_of)
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -166,8 +165,12 @@ def _to_target(problem: Problem, target: Target) -> Iterator[Plan]:
     approach, plan = quickest
     non_stop = blend(plan.transit.problem, plan.transit, None, approach) if plan.others else None
     if non_stop is not None and non_stop[2] is not None:
-        with suppress(CertificationError):
-            yield require_whole(problem, replace(plan, transit=non_stop[1], others=(non_stop[2], *plan.others[1:])))
+        quicker = replace(plan, transit=non_stop[1], others=(non_stop[2], *plan.others[1:]))
+        try:
+            require_whole(problem, quicker)
+        except CertificationError:
+            return  # the plan with stops is certified
+        yield quicker
 
 
 def plans_to_grasps(

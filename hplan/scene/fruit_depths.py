@@ -140,9 +140,8 @@ def permitted_fruit_contacts(
             per_depth[row], pressed[row] = pendulum.stiffness, pendulum.stiffness * push.depth
             across[row] = push.corners
             reached = places[push.reached].tolist()
-            moved = [mine.at(push.reached), *(behind[place] for place in reached if place in behind)]
-            roots[row] = frozenset[int]().union(*(each.limb_roots for each in moved))
-            fruits[row] = frozenset[str]().union(*(each.fruit_names(hanging) for each in moved))
+            moved = Neighbours.join([mine.at(push.reached), *(behind[at] for at in reached if at in behind)])
+            roots[row], fruits[row] = moved.limb_roots, moved.fruit_names(hanging)
     cores = hanging.extended(alone.extension * depth)
     for row, corners in across.items():
         cores[row] = hanging.start[row] - corners

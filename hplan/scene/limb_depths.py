@@ -160,9 +160,10 @@ def permitted_limb_contacts(
     reached = np.flatnonzero(push.displaced > 0.0)
     for row, places in met.at(reached).by_pushable():
         at = reached[places]
-        moved = [met.at(at), *(behind[place] for place in set(found.at[at].tolist()) & behind.keys())]
-        roots[row] = frozenset[int]().union(*(each.limb_roots for each in moved))
-        fruits[row] = frozenset[str]().union(*(each.fruit_names(hanging) for each in moved))
+        moved = Neighbours.join([
+            met.at(at), *(behind[place] for place in set(found.at[at].tolist()) & behind.keys())
+        ])  # fmt: skip
+        roots[row], fruits[row] = moved.limb_roots, moved.fruit_names(hanging)
     cores = parts.extended(found.extension * depth)
     return PermittedContacts(
         depth, cores, force + push.squeezed, push.squeezed, force * parts.stress, roots, fruits

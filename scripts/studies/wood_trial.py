@@ -57,7 +57,7 @@ DISTANCE_M, FRUITS, LOOKS = 1.2, 12, FieldErrors().looks
 #: Distances of the trunk [m], and turns of the tree [deg], among which stops are drawn.
 STOP_DISTANCES, STOP_TURNS = (1.0, 1.5), (0.0, 360.0)
 
-#: Stops after which a planner that picks nothing gives up.
+#: Maximum number of stops.
 MOST_STOPS = 200
 
 #: Mean speed of the wind [m/s].
@@ -234,8 +234,8 @@ def _try(config: StudyConfig, trial: Trial) -> Row:
 
 
 #: Columns that are added up over stops.
-_SUMS = ("ms", "planned", "picked", "duration_s", *("over_limits", "broken", "knocked_off"),
-         "knocked_off_untouched", "rigid_contacts", "diverged")  # fmt: skip
+_SUMS = ("ms", "planned", "picked", "duration_s", "over_limits", "broken", "knocked_off", "knocked_off_untouched",
+         "rigid_contacts", "diverged")  # fmt: skip
 
 #: Columns of which the largest counts.
 _LARGEST = ("most_miss_mm", "limb_force_n", "fruit_force_n", "stress_mpa", "tracking_mrad", "fault")

@@ -193,7 +193,6 @@ class TreeMonitor:
         self.max_stress_pa = np.zeros(len(bodies.limbs.names))
         self._stress = self.max_stress_pa.copy()
         self._last_contact_s = -math.inf
-        mujoco.mj_forward(model, data)
         #: (k,) forces of the stalks at rest [N].
         self._weights = np.linalg.norm(self._stalk_forces(), axis=1)
         self._contacts: dict[tuple[str, str], _Extremes] = {}
@@ -271,7 +270,7 @@ class TreeMonitor:
         if not len(self._fruit_ids):
             return np.zeros((0, 3))
         self._mujoco.mj_rnePostConstraint(self._model, self._data)
-        found: FloatArray = self._data.cfrc_int[self._fruit_ids, 3:].copy()
+        found: FloatArray = self._data.cfrc_int[self._fruit_ids, 3:]
         return found
 
     def _note_stalks(self, stalks: FloatArray) -> None:

@@ -511,7 +511,8 @@ def _add_clearances(
                 k = pieces[place] + c - 3
                 for m in range(joints):
                     time_scale -= weight[place, c] * slopes[place, link, m] * drift[k + 3, limits.movable[m]] / SCALE
-                if 0 <= k < inner:
+                # At the beginning of a piece the last control point has no weight.
+                if 0 <= k < inner and (weight[place, c] != 0.0 or speed[place, c] != 0.0):
                     free += weight[place, c]
                     for m in range(joints):
                         rows.columns[entry] = k * joints + m

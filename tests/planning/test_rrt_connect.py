@@ -19,6 +19,7 @@ from hplan.optimization.smooth_path import START_SHORTCUTS
 from hplan.planning.path_finder import (
     LongTrees,
     Path,
+    Trees,
     long_trees,
     path_time,
     promising_paths,
@@ -282,6 +283,40 @@ def test_paths_near_optimized_ones_are_left_out(blocked: tuple[Problem, World]) 
         assert len(found) == count
         assert all(np.array_equal(path.waypoints, grown.waypoints) for path in found)
     assert len(tree_paths(problem, 1, queries=50_000, known=first)) == 2
+
+
+@pytest.mark.parametrize("is_long", [False, True])
+def test_of_two_pairs_the_faster_path_is_optimized_first_if_the_way_is_long(
+    blocked: tuple[Problem, World], monkeypatch: pytest.MonkeyPatch, is_long: bool
+) -> None:
+    """The other one follows only if it is promising."""
+    problem, times = with_others(blocked[0], 0), [5.0, 3.0]
+    problem = replace(problem, effort=replace(problem.effort, long_stops_early=True, pairs=2))
+    monkeypatch.setattr(hplan.planning.path_finder, "LONG_WAY", 0.0 if is_long else math.inf)
+    asked = list[int]()
+
+    def grow(_: Problem, queries: int, seed: int, __: Pairs) -> tuple[Path | None, int]:
+        asked.append(seed)
+        return straight_path(problem)._replace(least_s=times[len(asked) - 1]), queries
+
+    monkeypatch.setattr(hplan.planning.path_finder, "tree_to_any", grow)
+    for bound_times, more in ((1.5, [] if is_long else [3.0]), (9.0, [5.0] if is_long else [3.0])):
+        asked.clear()
+        finder = LongTrees()
+        finder.durations, seen = np.array([math.inf]), list[float | None]()
+        for (path,) in finder.paths(problem):
+            assert len(asked) == 2 if is_long else len(asked) == len(seen) + 1
+            seen.append(path.least_s)
+            finder.durations[0] = bound_times * problem.least_duration
+        assert seen == [3.0 if is_long else 5.0, *more]
+    seeded = (replace(problem, effort=replace(problem.effort, seed=seed)) for seed in range(20))
+    both = ((each, tree_paths(each, 1)[0], tree_paths(each, 2)[0]) for each in seeded)
+    problem, of_one, of_two = next(each for each in both if not np.array_equal(each[1].waypoints, each[2].waypoints))
+    finder = Trees()
+    finder.durations = np.array([math.inf])
+    (first,) = next(finder.paths_to(problem, 0))
+    expected = of_two if is_long else of_one
+    assert np.array_equal(first.waypoints, expected.waypoints)
 
 
 @pytest.mark.parametrize(("times_bound", "seconds"), [(None, 2), (1.0, 0), (2.0, 1)])

@@ -105,7 +105,7 @@ def _approach(robot: Robot, scene: Scene, q: FloatArray) -> Iterator[str]:
         return
     asked = np.radians(np.atleast_1d(scene.goal.approach_deg))
     low, width = asked[0], asked[-1] - asked[0]
-    direction = float(approach_angles(robot, q[None], robot.tool_positions(q))[0])
+    direction = float(approach_angles(robot, q[None])[0])
     beyond = (direction - low + TASK_TOLERANCE) % (2.0 * np.pi)
     if beyond > width + 2.0 * TASK_TOLERANCE:
         angle = np.degrees(np.pi - (np.pi - direction) % (2.0 * np.pi))

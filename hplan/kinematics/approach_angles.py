@@ -1,4 +1,4 @@
-"""Intervals of approach angles, and configurations with the tool at a point."""
+"""Intervals of approach angles."""
 
 from __future__ import annotations
 
@@ -31,6 +31,11 @@ class Window(Record):
         inside: BoolArray = angle_above(angle, self.low - WINDOW_TOLERANCE) <= self.width + 2.0 * WINDOW_TOLERANCE
         return inside
 
+    def describe(self) -> str:
+        """The interval as text, such as `10 to 20 deg`."""
+        low, high = math.degrees(self.low), math.degrees(self.low + self.width)
+        return f"{low:.4g} deg" if self.width == 0.0 else f"{low:.4g} to {high:.4g} deg"
+
     @classmethod
     def from_degrees(cls, approach_deg: float | tuple[float, float] | None) -> Window | None:
         """Return the interval for an `approach_deg` argument; None for all angles.
@@ -52,19 +57,6 @@ class Window(Record):
             raise OptionError("approach_deg", approach_deg, expected)
         low, high = np.radians(ends[[0, -1]])
         return None if high - low >= math.tau else cls(float(low), float(high - low))
-
-
-@dataclass(frozen=True, eq=False)
-class Candidates(Record):
-    """Configurations that put the tool at a point.
-
-    Attributes:
-        configurations: (k, dof), k >= 1, within the limits.
-        approach: (k,) approach angle of the tool in (-pi, pi] (`hplan.kinematics.tool_at_point`).
-    """
-
-    configurations: FloatArray
-    approach: FloatArray
 
 
 def angle_above(angle: FloatArray, low: FloatArray | float) -> FloatArray:

@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arguments import check_integer, list_of
-from hplan.base.arrays import FloatArray, frozen, numbers
+from hplan.base.arrays import BoolArray, FloatArray, frozen, numbers
 from hplan.collision.motion_coefficients import carriers, joint_axis
 from hplan.errors import UnreachableError
-from hplan.kinematics.approach_angles import Candidates, Window
+from hplan.kinematics.approach_angles import Window
 from hplan.kinematics.damped_steps import ABOUT_Z, ANY_TURN, Chain, solve_each
 from hplan.kinematics.inverse_kinematics import MOST_SEEDS, chain_of, distinct, spread_starts, with_direction
 from hplan.robot.model import Robot
@@ -36,8 +36,8 @@ _COUNT, _STARTS = 64, 6
 #: Step between successive headings, as a fraction of half a turn (golden ratio).
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 
-#: Distance from the joint axis below which a tool counts as on the axis [m].
-_ON_AXIS = 1e-9
+#: Distance from the joint axis below which a tool counts as on the axis: the accuracy of its position [m].
+_ON_AXIS = 1e-6
 
 
 def tool_at_point(
@@ -48,13 +48,13 @@ def tool_at_point(
     count: int = _COUNT,
     start: ArrayLike | None = None,
     locked: Sequence[str] = (),
-) -> Candidates:
-    """Return configurations with the tool frame at a position, within 1e-6 m.
+) -> FloatArray:
+    """Return (k, dof) configurations with the tool frame at a position, or at one of several, within 1e-6 m.
 
     Args:
-        position: (3,) in `base_link` [m].
+        position: (3,), or (p, 3) for several, in `base_link` [m].
         approach_deg: Approach angle, or an interval (low, high) [deg]; None for all.
-        count: Number of directions.
+        count: Number of directions, for each position.
         start: (dof,) start configuration; None for the middle of the joint ranges.
         locked: Names of joints that keep their start values.
 
@@ -65,16 +65,37 @@ def tool_at_point(
         JointLimitError: The start is outside the joint limits.
         OptionError: An option is invalid.
     """
-    place, window = numbers("position", position, (3,)), Window.from_degrees(approach_deg)
-    directions = check_integer("count", count, 1, MOST_SEEDS)
+    places = numbers("position", position, (3,) if np.ndim(position) < 2 else (..., 3)).reshape(-1, 3)
+    window, directions = Window.from_degrees(approach_deg), check_integer("count", count, 1, MOST_SEEDS)
     middle = 0.5 * (robot.lower + robot.upper)
     robot = robot.about(middle if start is None else start)
     begin = robot.check_configuration(middle if start is None else start, "start")
     keeps = robot.locked_mask(list_of("locked", locked, str, "names"))
+    found, failures = list[FloatArray](), list[UnreachableError]()
+    for place in places:
+        try:
+            found.append(_solve_position(robot, place, window, directions, begin, keeps))
+        except UnreachableError as error:
+            failures.append(error.with_traceback(None))
+    if not found:
+        raise failures[0]
+    return frozen(np.concatenate(found))
+
+
+def _solve_position(
+    robot: Robot, place: FloatArray, window: Window | None, directions: int, begin: FloatArray, keeps: BoolArray
+) -> FloatArray:
+    """(k, dof) configurations with the tool at a (3,) position.
+
+    Args:
+        directions: Number of directions.
+        begin: (dof,) start configuration.
+        keeps: (dof,) mask of the joints that keep their start values.
+    """
     _check_reach(robot, place)
     pose = np.eye(4)
     pose[:3, 3] = place
-    outward = _outward_direction(robot, place)
+    outward = _outward_directions(robot, place)
     found: list[FloatArray] = []
     # Minimum number of joints for a position and a tool direction.
     directed = 5
@@ -84,29 +105,25 @@ def tool_at_point(
         if turn == ANY_TURN or np.count_nonzero(chain.moves) >= directed:
             found.append(_solve_directions(robot, begin, chain, towards, directions if turn == ANY_TURN else _STARTS))
     solutions = distinct(robot, np.concatenate(found), begin, chain)
-    approach = approach_angles(robot, solutions, place)
     if window is not None:
-        inside = window.holds(approach)
-        solutions, approach = solutions[inside], approach[inside]
+        solutions = solutions[window.holds(approach_angles(robot, solutions))]
     if len(solutions) == 0:
-        asked = "" if window is None else f" with an approach angle of {approach_deg} deg"
-        held = f", with {', '.join(locked)} locked" if keeps.any() else ""
+        asked = "" if window is None else f" with an approach angle of {window.describe()}"
+        locked = [name for name, kept in zip(robot.joint_names, keeps, strict=True) if kept]
+        held = f", with {', '.join(locked)} locked" if locked else ""
         detail = (
             f"no configuration{asked} was found for any of {directions} directions of the tool{held}; this does not "
             "prove that none exists"
         )
         raise UnreachableError(place.tolist(), "not_found", detail, joints=list(robot.joint_names))
-    return Candidates(frozen(solutions), frozen(approach))
+    return solutions
 
 
-def approach_angles(robot: Robot, configurations: FloatArray, position: FloatArray) -> FloatArray:
-    """(k,) approach angles of configurations with the tool at `position`.
-
-    They are in (-pi, pi]; `configurations` is (k, dof), `position` is (3,).
-    """
-    along = robot.forward_kinematics(configurations)[:, :3, :3] @ robot.tool_axis
-    outward = _outward_direction(robot, np.array(position))
-    level = np.copysign(np.hypot(along[:, 0], along[:, 1]), along @ outward)
+def approach_angles(robot: Robot, configurations: FloatArray) -> FloatArray:
+    """(k,) approach angles of the tool in (k, dof) configurations, in (-pi, pi]."""
+    poses = robot.forward_kinematics(configurations)
+    along, outward = poses[:, :3, :3] @ robot.tool_axis, _outward_directions(robot, poses[:, :3, 3])
+    level = np.copysign(np.hypot(along[:, 0], along[:, 1]), (along * outward).sum(axis=1))
     angles: FloatArray = np.arctan2(along[:, 2], level)
     return angles
 
@@ -129,15 +146,15 @@ def _check_reach(robot: Robot, place: FloatArray) -> None:
         raise UnreachableError(place.tolist(), "too_far", detail, excess_m=excess)
 
 
-def _outward_direction(robot: Robot, place: FloatArray) -> FloatArray:
-    """(3,) horizontal unit vector from the first joint to a position.
+def _outward_directions(robot: Robot, places: FloatArray) -> FloatArray:
+    """(..., 3) horizontal unit vectors from the first joint to (..., 3) positions.
 
     It is the x axis of the base if the position is on the vertical through the joint.
     """
-    away: FloatArray = place - robot.model.jointPlacements[1].translation
-    away[2] = 0.0
-    length = float(np.linalg.norm(away))
-    return away / length if length > _ON_AXIS else np.array([1.0, 0.0, 0.0])
+    away: FloatArray = places - robot.model.jointPlacements[1].translation
+    away[..., 2] = 0.0
+    length = np.linalg.norm(away, axis=-1, keepdims=True)
+    return np.where(length > _ON_AXIS, away / np.maximum(length, _ON_AXIS), (1.0, 0.0, 0.0))
 
 
 def _directions(outward: FloatArray, window: Window | None, count: int) -> FloatArray:

@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base import ties
-from hplan.base.arrays import BoolArray, ComplexArray, FloatArray, IntArray, frozen, numbers
+from hplan.base.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Record, frozen, numbers
 from hplan.base.elementary import arctan2, modulus, product
 from hplan.errors import OptionError, UnreachableError
-from hplan.kinematics.approach_angles import Candidates, Window
+from hplan.kinematics.approach_angles import Window
 from hplan.planar.chain import ANGLE_TOLERANCE, MATCH_TOLERANCE, FreeChain, Reached
 from hplan.planar.family_reader import family_of
 from hplan.planar.planar_family import PlanarFamily
@@ -46,6 +46,19 @@ ROUNDING = 1e-8
 _FARTHEST_FROM_START = 2.0 * math.tau
 
 
+@dataclass(frozen=True, eq=False)
+class Candidates(Record):
+    """Configurations that put the tool at a point, or at one of several.
+
+    Attributes:
+        configurations: (k, dof), k >= 1, within the limits.
+        approach: (k,) angle of the last link in the arm plane, in (-pi, pi].
+    """
+
+    configurations: FloatArray
+    approach: FloatArray
+
+
 def reach(
     robot: Robot,
     position: ArrayLike,
@@ -55,7 +68,7 @@ def reach(
     start: ArrayLike | None = None,
     locked: Sequence[str] = (),
 ) -> Candidates:
-    """Return all configurations with the tool frame at a position.
+    """Return all configurations with the tool frame at a position, or at one of several.
 
     A continuum of configurations is represented by its exact ends and about `count` samples, spread evenly over the
     approach angles in between; every continuum is represented by at least its ends. For a joint with a range of a whole
@@ -64,54 +77,54 @@ def reach(
     or no free yaw.
 
     Args:
-        position: (3,) in `base_link` [m].
+        position: (3,), or (p, 3) for several, in `base_link` [m].
         approach_deg: Approach angle, or an interval (low, high) [deg]; None for all.
-        count: Total number of samples of the continua.
+        count: Total number of samples of the continua, for each position.
         start: (dof,) start configuration: gives the values of locked joints, and the yaw for a point on the yaw axis.
         locked: Names of joints that keep their start values.
 
     Raises:
-        InputError: The position is not three finite numbers, a joint is unknown, or the start is no configuration.
+        InputError: A position is not three finite numbers, a joint is unknown, or the start is no configuration.
         OptionError: The approach is no angle or interval, the count is below 1, or joints are locked without a start.
-        UnreachableError: No configuration reaches the position; `reason` and `data` say why.
+        UnreachableError: No configuration reaches a position; `reason` and `data` say why for the first one.
     """
     if count < 1:
         raise OptionError("count", count, "a number of configurations >= 1")
     task = _ReachTask.build(robot, position, Window.from_degrees(approach_deg), start, locked)
     configurations, direction = task.solve(count)
     if not len(configurations):
-        raise _reason(task)
+        raise _reason(replace(task, positions=task.positions[:1]))
     return Candidates(frozen(configurations), frozen(np.pi - (np.pi - direction) % math.tau))
 
 
 @dataclass(frozen=True, eq=False)
 class _Views:
-    """The position in the arm planes that contain it.
+    """The positions in the arm planes that contain them.
 
     Attributes:
         yaw: (v,) yaws; zeros for a robot without a yaw joint.
-        point: (v,) the position in the plane, relative to the shoulder, as horizontal + i upward [m].
-        distance: Minimum distance of the position from the plane, over all yaws unless the yaw is locked [m].
+        point: (v,) a position in the plane, relative to the shoulder, as horizontal + i upward [m].
+        distance: (v,) minimum distance of the position from the plane, over all yaws unless the yaw is locked [m].
     """
 
     yaw: FloatArray
     point: ComplexArray
-    distance: float
+    distance: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class _ReachTask:
-    """A position to reach, with some joints locked.
+    """Positions to reach, with some joints locked.
 
     Attributes:
-        position: (3,) [m].
+        positions: (p, 3) [m].
         window: Window of approach angles; None for all.
         start: (dof,) start configuration; None without one.
         held: (dof,) mask of the locked joints.
     """
 
     robot: Robot
-    position: FloatArray
+    positions: FloatArray
     window: Window | None
     start: FloatArray | None
     held: BoolArray
@@ -121,7 +134,7 @@ class _ReachTask:
         cls, robot: Robot, position: ArrayLike, window: Window | None, start: ArrayLike | None, locked: Sequence[str]
     ) -> _ReachTask:
         """Validate the arguments and return the task."""
-        target = numbers("position", position, (3,))
+        target = numbers("position", position, (3,) if np.ndim(position) < 2 else (..., 3)).reshape(-1, 3)
         held = robot.locked_mask(locked)
         if locked and start is None:
             raise OptionError("start", None, "the configuration whose values the locked joints keep")
@@ -152,16 +165,22 @@ class _ReachTask:
 
     @cached_property
     def views(self) -> _Views:
-        """Arm planes that contain the position, at yaws beyond the limits too."""
+        """Arm planes that contain the positions, at yaws beyond the limits too."""
+        found = [self._views_of(position) for position in self.positions]
+        yaw, point, distance = zip(*((one.yaw, one.point, one.distance) for one in found), strict=True)
+        return _Views(np.concatenate(yaw), np.concatenate(point), np.concatenate(distance))
+
+    def _views_of(self, position: FloatArray) -> _Views:
+        """Arm planes that contain a (3,) position."""
         robot, family = self.robot, self.family
         if not family.has_yaw or self.held[0]:
             yaw = family.yaw_of(self.rest)
             origin, axes = family.plane_at(yaw)
-            place = axes @ (self.position - origin)
-            return _Views(np.array([yaw]), place[:1] + 1j * place[1:2], abs(float(place[2])))
-        (fx, fy), height = family.plane_axes[0, :2], self.position[2] - family.plane_origin[2]
+            place = axes @ (position - origin)
+            return _Views(np.array([yaw]), place[:1] + 1j * place[1:2], np.abs(place[2:]))
+        (fx, fy), height = family.plane_axes[0, :2], position[2] - family.plane_origin[2]
         ahead, across = family.shoulder_from_axis
-        x, y = self.position[:2] - family.yaw_axis
+        x, y = position[:2] - family.yaw_axis
         distance = float(np.hypot(x, y))
         yaws: FloatArray
         # A point this close to the yaw axis counts as on the axis [m].
@@ -173,7 +192,8 @@ class _ReachTask:
             out = np.sqrt(max(distance**2 - across**2, 0.0)) * np.array([1.0, -1.0])
             yaws = math.atan2(y, x) - math.atan2(fy, fx) - arctan2(0.0 - across, out)
         turns = np.floor((yaws - robot.lower[0] + ANGLE_TOLERANCE) / math.tau)
-        return _Views(yaws - math.tau * turns, (out - ahead) + 1j * height, max(0.0, abs(across) - distance))
+        beside = np.full(len(yaws), max(0.0, abs(across) - distance))
+        return _Views(yaws - math.tau * turns, (out - ahead) + 1j * height, beside)
 
     @property
     def yaw_excess(self) -> FloatArray:
@@ -190,7 +210,7 @@ class _ReachTask:
         return FreeChain.build(self.family.arm, self.free[len(self.grid_joints) :], self.rest[self.family.arm_slice])
 
     def relative_position(self, base: FloatArray, views: IntArray) -> tuple[ComplexArray, FloatArray]:
-        """Return the position relative to the chain, for base joints and views.
+        """Return the positions relative to the chain, for base joints and views.
 
         `base` has (b, n) values of the joints before the chain, `views` (v,) indices.
 
@@ -210,12 +230,13 @@ class _ReachTask:
     def solve(self, count: int) -> tuple[FloatArray, FloatArray]:
         """Return (k, dof) configurations, and (k,) angles of the last link.
 
-        Continua have about `count` samples between their ends.
+        Continua have about `count` samples between their ends, for each position.
         """
-        views = np.flatnonzero(self.yaw_excess <= ANGLE_TOLERANCE)
-        if self.views.distance <= MATCH_TOLERANCE and len(views):
+        views = np.flatnonzero((self.yaw_excess <= ANGLE_TOLERANCE) & (self.views.distance <= MATCH_TOLERANCE))
+        if len(views):
             for base in self.grids():
-                found = self.chain.reach(*self.relative_position(base, views), self.window, count)
+                samples = count * len(self.positions)
+                found = self.chain.reach(*self.relative_position(base, views), self.window, samples)
                 if len(found.point):
                     return self._assemble(found, base, views)
         return np.empty((0, self.robot.dof)), np.empty(0)
@@ -306,11 +327,10 @@ def _approach_reason(task: _ReachTask, window: Window) -> UnreachableError:
     reachable = np.degrees(spans).tolist()
     asked = np.degrees([window.low, window.low + window.width]).tolist()
     text = ", ".join(f"{low:.4g} to {high:.4g}" if high > low else f"{low:.4g}" for low, high in reachable)
-    angle = f"{asked[0]:.4g}" if window.width == 0.0 else f"{asked[0]:.4g} to {asked[1]:.4g}"
     return _unreachable(
         task,
         "approach",
-        f"not with an approach angle of {angle} deg, only of {text} deg",
+        f"not with an approach angle of {window.describe()}, only of {text} deg",
         approach_deg=asked,
         reachable_deg=reachable,
     )
@@ -319,7 +339,7 @@ def _approach_reason(task: _ReachTask, window: Window) -> UnreachableError:
 def _locked_reason(task: _ReachTask) -> UnreachableError:
     """Return the error for a position excluded by the locked joints."""
     names = [task.robot.joint_names[joint] for joint in np.flatnonzero(task.held)]
-    distance = task.views.distance
+    distance = float(task.views.distance.min())
     detail = "" if distance <= MATCH_TOLERANCE else f": the arm plane passes it at {distance:.6g} m"
     return _unreachable(
         task, "locked", f"not with {', '.join(names)} locked{detail}", locked_joints=names, beside_m=distance
@@ -329,8 +349,8 @@ def _locked_reason(task: _ReachTask) -> UnreachableError:
 def _arm_reason(task: _ReachTask) -> UnreachableError:
     """Return the error for a position that this arm cannot reach."""
     lengths, points = task.family.arm.lengths, task.views.point
-    if task.views.distance > MATCH_TOLERANCE:
-        distance = task.views.distance
+    distance = float(task.views.distance.min())
+    if distance > MATCH_TOLERANCE:
         across = f"{abs(task.family.shoulder_from_axis[1]):.6g} m"
         where = f"closer to the yaw axis than the arm plane, whose distance from the axis is {across}"
         detail = f"it is {distance:.6g} m {where if task.family.has_yaw else 'from the arm plane'}"
@@ -389,4 +409,4 @@ def _limit_reason(task: _ReachTask) -> UnreachableError:
 
 
 def _unreachable(task: _ReachTask, reason: str, detail: str, **data: Any) -> UnreachableError:
-    return UnreachableError(task.position.tolist(), reason, detail, **data)
+    return UnreachableError(task.positions[0].tolist(), reason, detail, **data)

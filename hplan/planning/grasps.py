@@ -32,7 +32,6 @@ from hplan.collision.coal_scene import Contact
 from hplan.collision.collision_bodies import collision_bodies
 from hplan.collision.motion_coefficients import reach as reach_of_bodies
 from hplan.errors import BlockedError, TiltedError, UnreachableError
-from hplan.kinematics.approach_angles import Candidates
 from hplan.kinematics.inverse_kinematics import inverse_kinematics
 from hplan.kinematics.straight_line import ToolLine, lines_back
 from hplan.kinematics.tool_at_point import approach_angles
@@ -303,9 +302,9 @@ def grasps_or_blocked(
         return clear
     found, room = clear
     robot, keeps_turn = target.world.robot, target.pose is not None
-    if goal_sampler_of(robot).is_sorted and len(found.approach) > count:  # the quickest to reach
-        found = Candidates(frozen(found.configurations[:count]), frozen(found.approach[:count]))
-    goals = frozen(found.configurations)
+    if goal_sampler_of(robot).is_sorted:  # the quickest to reach
+        found = found[:count]
+    goals = frozen(found)
     lengths = _distances(standoff, target.least_standoff)
 
     @cache
@@ -323,29 +322,29 @@ def grasps_or_blocked(
 
 
 def _sort_grasps(
-    target: Target, found: Candidates, chosen: dict[int, tuple[float, FloatArray]], start: FloatArray
+    target: Target, found: FloatArray, chosen: dict[int, tuple[float, FloatArray]], start: FloatArray
 ) -> tuple[Grasp, ...]:
     """Return grasps for the chosen approaches, sorted by minimum duration.
 
     `chosen` maps the number of a candidate to approach length and stand-off.
     """
     numbers, robot = list(chosen), target.world.robot
-    goals, begins = found.configurations[numbers], np.array([begin for _, begin in chosen.values()])
+    goals, begins = found[numbers], np.array([begin for _, begin in chosen.values()])
     distances = np.array([distance for distance, _ in chosen.values()])
     before = np.where(distances > 0.0, target.world.field.spare_clearances(begins), SPARE)
     rooms = np.minimum(np.minimum(target.world_touching.field.spare_clearances(goals), before), SPARE).tolist()
     limits = robot.velocity_limit, robot.acceleration_limit
     turns = np.abs(begins - start), np.abs(goals - begins)
     least = sum(rest_to_rest(turn, *limits).max(axis=1) for turn in turns)
-    shares = None
+    angles, shares = approach_angles(robot, goals).tolist(), None
     if target.capture_m is not None and target.covariance is not None:
         ahead = robot.forward_kinematics(goals)[:, :3, :3] @ robot.tool_axis
         offsets = robot.tool_positions(goals) - np.asarray(target.position)
         shares = capture_probabilities(ahead, target.covariance, target.capture_m, offsets)
     return tuple(
         Grasp(
-            frozen(goals[i].copy()), chosen[numbers[i]][1], float(distances[i]), float(found.approach[numbers[i]]),
-            float(least[i]), rooms[i], target.pose is not None, None if shares is None else float(shares[i]),
+            frozen(goals[i].copy()), chosen[numbers[i]][1], float(distances[i]), angles[i], float(least[i]), rooms[i],
+            target.pose is not None, None if shares is None else float(shares[i]),
         )
         for i in ties.argsort(least).tolist()
         if shares is None or shares[i] >= shares.max() - SAME
@@ -368,7 +367,7 @@ def select_promising(found: Sequence[Grasp], target: Target, start: FloatArray) 
 
 def _clear_candidates(
     target: Target, ranges: JointRanges, start: FloatArray, locked: Sequence[str], count: int
-) -> tuple[Candidates, float] | Blocked:
+) -> tuple[FloatArray, float] | Blocked:
     """Collision-free configurations with the tool at the point.
 
     Evenly spaced approach angles are tried first, finer ones if all of those collide, and then points off the centre.
@@ -381,41 +380,37 @@ def _clear_candidates(
     """
     robot, sampler = target.world.robot, goal_sampler_of(target.world.robot)
 
-    def at_point(point: ArrayLike, count: int) -> Candidates:
+    def at_points(points: ArrayLike, count: int) -> FloatArray:
         angle = target.approach_deg
-        return sampler.at_point(robot, point, approach_deg=angle, count=count, start=start, locked=tuple(locked))
+        return sampler.at_point(robot, points, approach_deg=angle, count=count, start=start, locked=tuple(locked))
 
-    def evenly_spaced(count: int) -> tuple[Candidates, FloatArray]:
+    def evenly_spaced(count: int) -> tuple[FloatArray, FloatArray]:
         if target.pose is None:
-            return measure(at_point(target.position, count))
+            return measure(at_points(target.position, count))
         at_pose = inverse_kinematics(
             robot, target.pose, start=start, frame=target.frame, locked=locked,
             rotation_tolerance_rad=target.rotation_tolerance,
         )  # fmt: skip
-        return measure(Candidates(at_pose, approach_angles(robot, at_pose, target.pose[:3, 3])))
+        return measure(at_pose)
 
-    def off_center(length: float) -> tuple[Candidates, FloatArray]:
+    def off_center(length: float) -> tuple[FloatArray, FloatArray]:
         """Candidates at a distance from the centre, none of them deeper in the fruit than it, as `evenly_spaced`."""
-        rows, angles = [np.zeros((0, robot.dof))], [np.zeros(0)]
-        for direction in _OFFSET_DIRECTIONS:
-            with suppress(UnreachableError):
-                found = at_point(np.asarray(target.position) + length * direction, _OFFSET_COUNT)
-                ahead = robot.forward_kinematics(found.configurations)[:, :3, :3] @ robot.tool_axis
-                kept = ahead @ direction <= _NOT_DEEPER
-                rows.append(found.configurations[kept])
-                angles.append(found.approach[kept])
-        return measure(Candidates(frozen(np.concatenate(rows)), frozen(np.concatenate(angles))))
+        center = np.asarray(target.position)
+        found = at_points(center + length * _OFFSET_DIRECTIONS, _OFFSET_COUNT)
+        poses = robot.forward_kinematics(found)
+        ahead, offset = poses[:, :3, :3] @ robot.tool_axis, poses[:, :3, 3] - center
+        return measure(found[(ahead * offset).sum(axis=1) <= _NOT_DEEPER])
 
-    def measure(found: Candidates) -> tuple[Candidates, FloatArray]:
+    def measure(found: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Candidates, and the (k,) minimum clearance of each over all links [m]."""
-        rooms: FloatArray = target.world_touching.field.spare_clearances(found.configurations)
-        rooms[~ranges.hold(found.configurations)] = _BEYOND
+        rooms: FloatArray = target.world_touching.field.spare_clearances(found)
+        rooms[~ranges.hold(found)] = _BEYOND
         return found, rooms
 
     measured = [evenly_spaced(count)]
     if count < COUNT and measured[0][1].max() <= SPARE:
         measured = [evenly_spaced(COUNT)]
-    configurations = measured[0][0].configurations
+    configurations = measured[0][0]
     if measured[0][1].max() <= SPARE and target.pose is None:
         with suppress(UnreachableError):
             measured.append(evenly_spaced(sampler.more))
@@ -423,14 +418,15 @@ def _clear_candidates(
     for length in (fraction * offset for fraction in _OFFSETS if offset > 0.0):
         best = max(float(rooms.max(initial=_BEYOND)) for _, rooms in measured)
         if -length < best <= ROOMS[-1]:  # the hand comes free by at most its offset
-            measured.append(off_center(length))
+            with suppress(UnreachableError):
+                measured.append(off_center(length))
     for room in ROOMS:
         for found, rooms in measured:
             clear = rooms > room
             if clear.any():
-                return Candidates(found.configurations[clear], found.approach[clear]), room
+                return found[clear], room
     found, rooms = max(measured, key=lambda of: float(of[1].max(initial=-math.inf)))
-    nearest = frozen(found.configurations[ties.argmax(rooms)])
+    nearest = frozen(found[ties.argmax(rooms)])
     refined = sum(len(rooms) for _, rooms in measured[1:])
     return Blocked(target, ranges, configurations, nearest, float(rooms.max()), refined)
 

@@ -8,7 +8,7 @@ is taken. With a deadline the first plan comes as soon as possible, and the last
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -212,6 +212,7 @@ def plans_to_grasps(
                 if error.which == "start":
                     raise
                 failures[number] = mark_approach(error.with_traceback(None))
+        approaches = {number: Approach(problem, target, batch[number - len(ordered)]) for number in problems}
         ordered += batch
         if not is_likely and problems:
             proofs = prove_each_goal(merge_problems(list(problems.values())))
@@ -220,12 +221,15 @@ def plans_to_grasps(
             is_found = False
             try:
                 for place, transit in motions(merge_problems([problems[number] for number in left])):
-                    approach = Approach(problem, target, ordered[left[place]])
+                    approach = approaches[left[place]]
                     try:
                         plan = require_whole(problem, Plan(transit, approach.motions, approach.grasp))
                     except (CertificationError, TimingError) as error:
                         failures[left[place]] = mark_approach(error.with_traceback(None))
                         if not is_found:
+                            # Approaches to a fruit often fail for the same reason: no transits to those that do.
+                            others = {number: approaches[number] for number in left if number not in failures}
+                            failures |= _approach_failures(others)
                             break
                     else:
                         is_found = True
@@ -235,6 +239,17 @@ def plans_to_grasps(
             if is_found:
                 return
     raise _failure(target, ordered, [failures[number] for number in range(len(ordered))])
+
+
+def _approach_failures(approaches: Mapping[int, Approach]) -> dict[int, HplanError]:
+    """Errors of the approaches that cannot be timed or certified, by number."""
+    failures = dict[int, HplanError]()
+    for number, approach in approaches.items():
+        try:
+            approach.from_rest  # noqa: B018 (it is computed once and kept)
+        except (CertificationError, TimingError) as error:
+            failures[number] = mark_approach(error.with_traceback(None))
+    return failures
 
 
 def _batches(target: Target, found: Sequence[Grasp], start: FloatArray) -> Iterator[tuple[bool, list[Grasp]]]:

@@ -14,7 +14,6 @@ from hplan.base.arrays import FloatArray
 from hplan.base.lazy_import import load_extensions
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import NoPathError, OptionError
-from hplan.kinematics.approach_angles import Candidates
 from hplan.kinematics.tool_at_point import tool_at_point
 from hplan.planning.effort import EFFORTS, Effort
 from hplan.planning.joint_ranges import LEAST_MARGIN, RANGE_MARGIN, JointRanges
@@ -28,7 +27,7 @@ FinderT = TypeVar("FinderT", covariant=True)
 
 @dataclass(frozen=True)
 class GoalSampler:
-    """Inverse kinematics that returns configurations with the tool at a point.
+    """Inverse kinematics that returns configurations with the tool at a point, or at one of several.
 
     Attributes:
         at_point: The function; its arguments are those of `hplan.kinematics.tool_at_point.tool_at_point`.
@@ -37,7 +36,7 @@ class GoalSampler:
         is_sorted: True if the quickest configurations come first, so that the others can be left out.
     """
 
-    at_point: Callable[..., Candidates] = tool_at_point
+    at_point: Callable[..., FloatArray] = tool_at_point
     more: int = 256
     enough: int | None = 8
     is_sorted: bool = True

@@ -129,6 +129,24 @@ def test_every_configuration_is_found(variants, name):
         assert gap < 8.0 * np.pi / 64
 
 
+@pytest.mark.parametrize("name", SMALL)
+def test_several_positions_give_configurations_of_each(variants, name):
+    robot, rng = variants[name], np.random.default_rng(3)
+    rows = rng.uniform(robot.lower, robot.upper, (6, robot.dof))
+    positions = robot.tool_positions(rows)
+    found = reach(robot, [*positions, (50.0, 0.0, 0.0)], count=16).configurations
+    tools = robot.tool_positions(found)
+    apart = np.linalg.norm(tools[:, None] - positions, axis=2)
+    assert apart.min(axis=1).max() < 1e-6
+    for number, position in enumerate(positions):
+        alone = reach(robot, position, count=1).configurations  # the ends of all continua
+        here = found[apart[:, number] < 1e-6]
+        ends = np.abs(alone[:, None] - here).max(axis=2).min(axis=1)
+        assert np.sort(ends)[: max(1, len(ends) - 1)].max() < 1e-6  # one of them is a sample
+    with pytest.raises(UnreachableError, match=r"cannot reach \(50"):
+        reach(robot, [(50.0, 0.0, 0.0), (60.0, 0.0, 0.0)])
+
+
 def test_harvester_grid_is_found(robot):
     """Including joints at limits, stretched elbows and points above the axis."""
     grid = np.radians(np.arange(0.0, 91.0, 15.0))

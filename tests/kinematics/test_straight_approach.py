@@ -74,7 +74,7 @@ def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 @pytest.mark.parametrize("keeps_turn", [False, True])
 def test_tool_keeps_to_its_line(arm: Robot, keeps_turn: bool) -> None:
-    goals = tool_at_point(arm, POINT, count=16).configurations
+    goals = tool_at_point(arm, POINT, count=16)
     lines = lines_back(arm, goals, 0.1, keeps_turn=keeps_turn)
     whole = lines.reached == len(lines.distances)
     assert whole.mean() > 0.5
@@ -93,7 +93,7 @@ def test_tool_keeps_to_its_line(arm: Robot, keeps_turn: bool) -> None:
 
 
 def test_derivatives_are_those_of_the_path(picker: Robot) -> None:
-    path = ToolLine(picker, tool_at_point(picker, POINT).configurations[0], 0.1)
+    path = ToolLine(picker, tool_at_point(picker, POINT)[0], 0.1)
     s, h = np.linspace(0.02, 0.98, 33) * path.end, 1e-5
     for order in (0, 1):
         slope = (path.evaluate(s + h, order) - path.evaluate(s - h, order)) / (2.0 * h)
@@ -106,7 +106,7 @@ def test_derivatives_are_those_of_the_path(picker: Robot) -> None:
 
 
 def test_locked_joints_stay(picker: Robot) -> None:
-    goal = tool_at_point(picker, POINT).configurations[:1]
+    goal = tool_at_point(picker, POINT)[:1]
     lines = lines_back(picker, goal, 0.05, locked=["wrist_3"])
     assert lines.reached[0] == len(lines.distances)
     assert (lines.rows[0, :, 5] == goal[0, 5]).all()
@@ -115,7 +115,7 @@ def test_locked_joints_stay(picker: Robot) -> None:
 
 
 def test_line_ends_where_the_arm_does(picker: Robot) -> None:
-    goal = tool_at_point(picker, POINT, approach_deg=180.0).configurations[:1]
+    goal = tool_at_point(picker, POINT, approach_deg=180.0)[:1]
     lines = lines_back(picker, goal, 3.0)
     reached = int(lines.reached[0])
     assert 1 < reached < len(lines.distances)

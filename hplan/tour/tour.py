@@ -312,14 +312,11 @@ class TourPlanner:
                 motions = self._motions(scene, motions.end(stage.visits)) if is_found else self._whole
             is_firm = False
         while stages:
-            result = self._result(stages, unreached)
             try:
-                require_certificate(self.problem, result.certificate)
+                return self._result(stages, unreached)
             except CertificationError as error:
                 # What earlier legs push may displace the fruit of later ones, which are left then.
                 unreached += [Unreached(name, error.with_traceback(None)) for name in stages.pop().motions.fruits]
-            else:
-                return result
         raise TourError([(item.fruit, item.error) for item in unreached])
 
     def costs(self, names: Collection[str]) -> tuple[dict[str, FloatArray], Costs]:
@@ -332,9 +329,12 @@ class TourPlanner:
         return self._whole.costs()
 
     def reverse(self, tour: TourResult) -> TourResult | None:
-        """Return the reversed tour; None if its motions are not all known."""
+        """Return the reversed tour; None if its motions are not all known, or not certified in this order."""
         visits = self._whole.tour_through([leg.grasp for leg in reversed(tour.legs) if leg.grasp is not None])
-        return None if visits is None else self._result([_Stage(self._whole, visits, {}, [])], tour.unreached)
+        if visits is not None:
+            with suppress(CertificationError):
+                return self._result([_Stage(self._whole, visits, {}, [])], tour.unreached)
+        return None
 
     def _stage(self, motions: Motions, fruits: Sequence[Fruit]) -> _Stage:
         """Plan the tour over the given fruits that are reachable."""
@@ -365,7 +365,11 @@ class TourPlanner:
         return _Stage(motions, visits, {order: totals[order] for order in _ORDERS if order in totals}, unreached)
 
     def _result(self, stages: Sequence[_Stage], unreached: Sequence[Unreached]) -> TourResult:
-        """Assemble the tour and its report."""
+        """Assemble the tour and its report.
+
+        Raises:
+            CertificationError: The options require a certificate, and that of the whole tour is not verified.
+        """
         drafts = list[LegMotions]()
         for stage in stages:
             drafts += self._legs(stage.motions, stage.visits, back=self.tour.back and stage is stages[-1])
@@ -381,7 +385,8 @@ class TourPlanner:
         picked, dropped = _times(legs)
         trajectory = join_trajectories([leg.trajectory for leg in legs])
         digests = Digests(self.robot, self.scene, trajectory)
-        certificate = replace(all_of([leg.certificate for leg in legs]), digests=digests)
+        whole = replace(all_of([leg.certificate for leg in legs]), digests=digests)
+        certificate = require_certificate(self.problem, whole)
         return TourResult(
             order=tuple(picked),
             legs=tuple(legs),

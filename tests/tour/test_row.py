@@ -263,3 +263,15 @@ def test_tour_that_is_not_certified_as_a_whole_leaves_fruit(
     assert set(found.order) < set(pushing.order)
     left = {item.fruit for item in found.unreached if "displaced" in item.error.message}
     assert left == set(pushing.order) - set(found.order)
+
+
+def test_reversed_tour_is_certified_as_a_whole(arm: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = [fruit.name for fruit in scene.fruits][:2]
+    planner = touring.TourPlanner(arm, scene, QUICK, touring.TourOptions(), names)
+    tour = planner.run(names)
+    turned = planner.reverse(tour)
+    assert turned is not None
+    assert turned.certificate.verified
+    assert turned.order == tour.order[::-1]
+    monkeypatch.setattr(touring, "all_of", lambda parts: replace(all_of(parts), verified=False))
+    assert planner.reverse(tour) is None

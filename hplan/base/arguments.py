@@ -24,11 +24,21 @@ _T = TypeVar("_T")
 DECIMAL: Final = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 
 
+#: Maximum number of names that an error lists.
+_MOST_NAMES: Final = 12
+
+
 def nearest_name(name: str, known: Iterable[str]) -> str:
     """Return advice for a misspelt name: the closest known name, or all."""
     names = list(known)
     close = get_close_matches(name, names, 1)
-    return f"did you mean {close[0]!r}?" if close else f"there are {', '.join(names)}"
+    return f"did you mean {close[0]!r}?" if close else f"there are {list_names(names) or 'none'}"
+
+
+def list_names(names: Sequence[str]) -> str:
+    """The names as text, separated by commas; of many only the first ones and the number of the others."""
+    shown = names if len(names) <= _MOST_NAMES else names[: _MOST_NAMES - 2]
+    return ", ".join(shown) + ("" if shown is names else f" and {len(names) - len(shown)} more")
 
 
 def is_number(value: object) -> bool:

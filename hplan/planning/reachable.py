@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-from hplan.base.arguments import list_of, truth
+from hplan.base.arguments import list_of, nearest_name, truth
 from hplan.base.arrays import Record
 from hplan.base.deadline import Cancel, TimeIsUpError, check_deadline, time_limit
 from hplan.collision.coal_scene import Contact
@@ -142,7 +142,7 @@ def fruit_names(scene: Scene, fruits: Sequence[str] | None) -> list[str]:
         raise OptionError("fruits", names, "a fruit to pick" if known else "a scene with fruits")
     for number, name in enumerate(names):
         if name not in known:
-            raise OptionError("fruits", name, f"fruits of the scene: {', '.join(known) or 'it has none'}")
+            raise OptionError("fruits", name, f"fruits of the scene: {nearest_name(name, known)}")
         if name in names[:number]:
             raise OptionError("fruits", name, "each fruit once")
     return names

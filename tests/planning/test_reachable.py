@@ -25,8 +25,10 @@ from hplan.planning.approach import Approach
 from hplan.planning.failures import FailuresError, mark_approach, obstacle_of, reason_of
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
+from hplan.planning.reachable import fruit_names
 from hplan.robot.model import Robot, load_robot
-from hplan.scene.model import Goal, Scene
+from hplan.scene.fruit import Fruit
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Capsule, Sphere
 
 QUICK = PlanOptions(effort="quick")
@@ -88,6 +90,17 @@ def test_some_fruits_are_checked_alone(arm: Robot) -> None:
     for wrong in (["pear"], ["apple 1", "apple 1"], []):
         with pytest.raises(OptionError, match="fruits"):
             hplan.reachable(arm, scene, fruits=wrong)
+
+
+def test_unknown_fruit_is_answered_with_the_nearest_names() -> None:
+    fruits = tuple(Fruit(name=f"apple {n}", center=(0.3, 0.1 * n, 0.5), radius=0.03) for n in range(136))
+    scene = Scene(name="many", start=Start(joints_deg=TUCKED), goal=Goal(fruit="apple 1"), fruits=fruits)
+    with pytest.raises(OptionError, match="did you mean 'apple 12'"):
+        fruit_names(scene, ["aple 12"])
+    with pytest.raises(OptionError, match=r"there are apple 0, .*, apple 9 and 126 more"):
+        fruit_names(scene, ["17"])
+    with pytest.raises(OptionError, match="there are none"):
+        fruit_names(scene.with_values(fruits=(), goal=Goal(joints_deg=(0.0,))), ["apple 1"])
 
 
 def test_motions_are_planned_only_on_request(robot: Robot) -> None:

@@ -121,11 +121,19 @@ class TimedSpline(Record):
 
     def _interpolate(self, points: FloatArray, clock: FloatArray) -> TimedSpline:
         """Interpolate (inner, dof) points with the inner control points; ends stay fixed."""
-        inner = slice(RESTING, -RESTING)
-        weights = self.weights(clock[inner])
+        from scipy.interpolate import BSpline
+        from scipy.linalg import solve_banded
+
+        inner, count = slice(RESTING, -RESTING), len(points)
+        weights = BSpline.design_matrix(clock[inner], self.knots, 3)
         control = np.array(self.control)
         control[inner] = 0.0
-        control[inner] = np.linalg.solve(weights[:, inner], points - weights @ control)
+        # Row i has four weights, in columns i - 2 to i + 2.
+        row, column = np.repeat(np.arange(count), 4), weights.indices - RESTING
+        is_inner = (column >= 0) & (column < count)
+        bands = np.zeros((5, count))
+        bands[(2 + row - column)[is_inner], column[is_inner]] = weights.data[is_inner]
+        control[inner] = solve_banded((2, 2), bands, points - weights @ control, check_finite=False)
         return TimedSpline(frozen(control), self.knots, self.ends)
 
     def with_ends(self, ends: tuple[BoundaryState, BoundaryState] | None) -> TimedSpline:

@@ -227,9 +227,9 @@ def plans_to_grasps(
                     except (CertificationError, TimingError) as error:
                         failures[left[place]] = mark_approach(error.with_traceback(None))
                         if not is_found:
-                            # Approaches to a fruit often fail for the same reason: no transits to those that do.
-                            others = {number: approaches[number] for number in left if number not in failures}
-                            failures |= _approach_failures(others)
+                            # Approaches to a fruit often fail for the same reason: no transits to others that do.
+                            others = [number for number in left if number not in failures][: len(failures)]
+                            failures |= _approach_failures({number: approaches[number] for number in others})
                             break
                     else:
                         is_found = True

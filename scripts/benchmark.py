@@ -53,6 +53,7 @@ STUDIES = {
     "wood_static": "wood:WOOD_STATIC",
     "wood_moving": "wood:WOOD_MOVING",
     "wood_picks": "wood:WOOD_PICKS",
+    "wood_grasps": "wood_grasps:WOOD_GRASPS",
     "wood_trial": "wood_trial:WOOD_TRIAL",
 }
 

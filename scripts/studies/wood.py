@@ -10,7 +10,8 @@ from __future__ import annotations
 import itertools
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -22,9 +23,10 @@ from studies.measure import planned
 
 from hplan.apps.execution.bending_wood import BendingTrees, WoodBodies, set_solver
 from hplan.apps.execution.simulated_arm import Plant, import_mujoco
-from hplan.apps.execution.simulation import execute, picks_in
+from hplan.apps.execution.simulation import Pick, execute, picks_in
 from hplan.apps.execution.tree_response import TreeMonitor
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
+from hplan.certificate.certificate import Certificate
 from hplan.certificate.goal_displacement import Grasp, displacement_at
 from hplan.certificate.segment_contacts import CONTACT, SegmentContacts
 from hplan.collision.coal_scene import base_contacts
@@ -32,14 +34,15 @@ from hplan.collision.compliant_solids import LIMB_SHARE
 from hplan.errors import InputError
 from hplan.planning.options import PlanOptions
 from hplan.planning.reachable import reachable
-from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.scene.fruit import Fruit
+from hplan.scene.limb_contacts import limbs_of
 from hplan.scene.limbs import Limbs, find_parents
 from hplan.scene.model import Goal, Scene, Start, with_limbs
 from hplan.scene.obstacle_kind import ContactLimit
 from hplan.scene.orchard import MeasuredOptions, import_tree, measured_orchard
 from hplan.scene.wood import Wood
+from hplan.trajectory.trajectory import Trajectory
 
 #: Minimum distance of a push from the start of its segment, in radii: nearer to it, limbs do not bend like beams.
 NEAREST_RADII = 4.0
@@ -65,7 +68,7 @@ class TreePush:
         return np.random.default_rng(self.seed)
 
 
-def _pushes(config: StudyConfig) -> Iterable[TreePush]:
+def tree_pushes(config: StudyConfig) -> Iterable[TreePush]:
     """Pushes or picks of each tree; `count` is the number for each."""
     return [
         TreePush(f"{file.stem}: {number}", file, (config.seed, row, number))
@@ -163,7 +166,7 @@ WOOD_STATIC = Study(
     "compliance of limbs in MuJoCo against beam theory, on measured trees (--trees); count for each tree",
     _static,
     ("at_rest_error", "error", "within", "deflection", "rotation_rad"),
-    problems=_pushes,
+    problems=tree_pushes,
     by="tree",
     count=(60, 2),
     needs=("trees",),
@@ -470,7 +473,7 @@ WOOD_MOVING = Study(
         ),
         *("stress_bound_mpa", "other_force_n", "speed_m_s", "limbs"),
     ),
-    problems=_pushes,
+    problems=tree_pushes,
     by="tree",
     count=(527, 1),
     needs=("trees",),
@@ -497,92 +500,104 @@ ROUNDING_M = 1e-9
 PICK_TRACKING_RAD, PICK_PLANT = 2e-5, Plant(bandwidth=200.0, decoupled=True)
 
 
-def _pick_scenes(config: StudyConfig, robot: Robot, problem: TreePush) -> Iterator[Scene]:
-    """The tree at a random place, with random fruit that can be picked as the goal.
+def drawn_scene(config: StudyConfig, robot: Robot, problem: TreePush, random: np.random.Generator) -> Scene | None:
+    """The tree at a random place; None if it stands in the arm.
 
     `--values clearance=0.02` sets the clearance from rigid obstacles [m]: a larger one leads to more pushes.
     """
-    random = problem.random
     options = MeasuredOptions(
         distance=float(random.uniform(*PICK_DISTANCES)), yaw_deg=float(random.uniform(*PICK_TURNS))
     )
     tree = measured_orchard([problem.tree], options).shift((0.0, float(random.uniform(*PICK_SIDES)), 0.0))
-    if base_contacts(robot, tree.solids):  # the tree stands in the arm
-        return
-    scene = with_limbs(tree).with_values(clearance=config.values.get("clearance", (tree.clearance,))[0])
+    if base_contacts(robot, tree.solids):
+        return None
+    return with_limbs(tree).with_values(clearance=config.values.get("clearance", (tree.clearance,))[0])
+
+
+def _drawn_pick(config: StudyConfig, robot: Robot, problem: TreePush) -> Scene | None:
+    """A tree at a random place, with a random fruit that can be picked as the goal; None without any."""
+    random = problem.random
+    scene = drawn_scene(config, robot, problem, random)
+    if scene is None:
+        return None
     near = sorted(scene.fruits, key=lambda fruit: float(np.linalg.norm(fruit.center[:2])))[:PICK_AMONG]
     some = random.permutation([fruit.name for fruit in near]).tolist()
-    try:
+    with suppress(InputError):  # the arm has no room
         found = reachable(robot, scene, fruits=some) if some else {}
-    except InputError:  # the arm has no room
-        return
-    for name in some:
-        if found[name].can_be_picked:
-            yield scene.with_values(goal=Goal(fruit=name))
-
-
-def _drawn_pick(
-    config: StudyConfig, robot: Robot, problem: TreePush, options: PlanOptions
-) -> tuple[Scene, PlanResult | None, Row] | None:
-    """A pick and its plan; None without a fruit.
-
-    With `--values pushed=1`, the first one whose fruit may be displaced by pushes; None without any.
-    """
-    is_pushed = bool(config.values.get("pushed", (0,))[0])
-    for scene in itertools.islice(_pick_scenes(config, robot, problem), None if is_pushed else 1):
-        result, row = planned(robot, scene, options)
-        if not is_pushed or (result is not None and (result.certificate.goal_displacement_m or 0.0) > 0.0):
-            return scene, result, row
+        name = next((name for name in some if found[name].can_be_picked), None)
+        return None if name is None else scene.with_values(goal=Goal(fruit=name))
     return None
 
 
 def _pick(config: StudyConfig, problem: TreePush) -> Row | None:
     """A certified pick, executed among trees that bend; forces relative to the certificate's bounds."""
     robot = config.arm("orchard_harvester")
-    drawn = _drawn_pick(config, robot, problem, PlanOptions(effort=config.effort, tracking_error=PICK_TRACKING_RAD))
-    if drawn is None:
+    scene = _drawn_pick(config, robot, problem)
+    if scene is None:
         return None
-    scene, result, row = drawn
+    options = PlanOptions(effort=config.effort, tracking_error=PICK_TRACKING_RAD)
+    result, row = planned(robot, scene, options)
     row |= {"name": problem.name, "tree": problem.tree.stem}
     if result is None or not result.certificate.verified:
         return row
-    pushes, frames = result.certificate.pushes or (), robot.model.frames
     (pick,) = picks_in(result.picked_fruit, result.phases)
+    return row | run_pick(robot, scene, result.trajectory, result.certificate, pick, BendingTrees())
+
+
+def run_pick(
+    robot: Robot, scene: Scene, motion: Trajectory, certificate: Certificate, pick: Pick, trees: BendingTrees
+) -> Row:
+    """Execute a certified pick; forces, stresses and the fruit's displacement, and the certificate's bounds."""
+    pushes, frames = certificate.pushes or (), robot.model.frames
     # Nothing moves before the first contact.
     touched_s = min([pick.touched_s, *(push.begin_s for push in pushes)]) - PICK_BEFORE_S
-    motion = result.trajectory.cut_before(max(0, int(np.searchsorted(result.trajectory.time, touched_s)) - 1))
-    begin_s = result.trajectory.duration - motion.duration
+    duration_s = motion.duration
+    motion = motion.cut_before(max(0, int(np.searchsorted(motion.time, touched_s)) - 1))
+    begin_s = duration_s - motion.duration
     pick = pick._replace(touched_s=max(0.0, pick.touched_s - begin_s), picked_s=pick.picked_s - begin_s)
-    executed = execute(robot, scene, motion, PICK_PLANT, trees=BendingTrees(), picks=[pick])
-    trees = executed.trees
-    if trees is None:
-        return row
+    bending = _moved_by(scene, [pick.fruit, *(push.obstacle for push in pushes)])
+    executed = execute(robot, scene, motion, PICK_PLANT, trees=trees, picks=[pick], bending=bending)
+    response = executed.trees
+    assert response is not None
     forces, stresses = defaultdict[tuple[str, int], float](float), defaultdict[tuple[str, int], float](float)
     for push in pushes:
         key = push.obstacle, int(frames[robot.frame_number(push.link)].parentJoint)
         forces[key] = max(forces[key], push.force_n or 0.0)
         stresses[key] = max(stresses[key], push.stress_mpa or 0.0)
-    force_ratio = stress_ratio = 0.0
-    for one in trees.contacts:
+    force_ratio = stress_ratio = other_n = 0.0
+    for one in response.contacts:
         key = one.limb, int(frames[robot.frame_number(one.link)].parentJoint)
-        force_ratio = max(force_ratio, one.force_n / forces[key] if key in forces else math.inf)
-        stress_ratio = max(stress_ratio, one.stress_mpa / stresses[key] if stresses.get(key) else 0.0)
-    moved, bound = trees.displacement_at(pick.fruit, pick.picked_s), result.certificate.goal_displacement_m
-    return row | {
-        "pushes": len(pushes), "contacts": len(trees.contacts), "rigid_contacts": len(executed.contacts),
+        if key in forces:
+            force_ratio = max(force_ratio, one.force_n / forces[key])
+            stress_ratio = max(stress_ratio, one.stress_mpa / stresses[key] if stresses[key] else 0.0)
+        else:  # it swung into the arm
+            other_n = max(other_n, one.force_n)
+    moved, bound = response.displacement_at(pick.fruit, pick.picked_s), certificate.goal_displacement_m
+    return {
+        "pushes": len(pushes), "contacts": len(response.contacts), "rigid_contacts": len(executed.contacts),
         "tracking_mrad": 1e3 * max(executed.max_tracking_error_rad),
-        "force_n": max((one.force_n for one in trees.contacts), default=0.0),
-        "stress_mpa": max((one.stress_mpa for one in trees.contacts), default=0.0),
-        "force_ratio": force_ratio if trees.contacts else None,
-        "stress_ratio": stress_ratio if trees.contacts else None,
+        "force_n": max((one.force_n for one in response.contacts), default=0.0),
+        "stress_mpa": max((one.stress_mpa for one in response.contacts), default=0.0),
+        "force_ratio": force_ratio if response.contacts else None,
+        "stress_ratio": stress_ratio if response.contacts else None,
         "goal_mm": None if moved is None else 1e3 * moved, "goal_bound_mm": None if bound is None else 1e3 * bound,
-        "broken": len(trees.broken), "knocked_off": len(trees.knocked_off),
-        "within_limits": trees.ok and not executed.contacts,
+        "goal_ratio": moved / bound if moved is not None and bound else None,
+        "broken": len(response.broken), "knocked_off": len(response.knocked_off),
+        "within_limits": response.ok and not executed.contacts, "other_force_n": other_n,
         "fault": bool(
-            row.get("fault") or force_ratio > 1.0 or stress_ratio > 1.0 or executed.contacts or trees.broken
-            or trees.knocked_off or (moved is not None and bound is not None and moved > bound + ROUNDING_M)
+            not response.ok or force_ratio > 1.0 or stress_ratio > 1.0 or executed.contacts
+            or (moved is not None and bound is not None and moved > bound + ROUNDING_M)
         ),
     }  # fmt: skip
+
+
+def _moved_by(scene: Scene, touched: Sequence[str]) -> set[str]:
+    """Names of some limbs and fruit, and of all limbs that share a root with them."""
+    limbs, names = limbs_of(scene.obstacles, scene.wood or Wood()), set(touched)
+    holds = [limbs.nearest(np.array(fruit.center), fruit.hangs_from) for fruit in scene.fruits if fruit.name in names]
+    rows = [row for row, name in enumerate(limbs.names) if name in names] + [hold[0] for hold in holds if hold]
+    roots = limbs.roots()
+    return names | {limbs.names[row] for row in np.flatnonzero((roots >= 0) & np.isin(roots, roots[rows])).tolist()}
 
 
 WOOD_PICKS = Study(
@@ -601,7 +616,7 @@ WOOD_PICKS = Study(
             "knocked_off",
         ),
     ),
-    problems=_pushes,
+    problems=tree_pushes,
     by="tree",
     count=(30, 1),
     needs=("trees",),

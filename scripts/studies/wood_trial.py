@@ -9,8 +9,9 @@ After the base has stopped, the camera takes `LOOKS` frames, and the tree is reg
 Each of three planners picks up to `FRUITS` of the fruit that it finds reachable. hplan's tours know how wood bends.
 They are certified for three standard deviations of the perceived positions, which cover the errors of base and
 camera, and for the tracking error. `--values sigmas=0 looks=0 tracking=0.001` changes them.
+With `--values sway=3` they also cover the equilibrium of limbs and fruit in a gust of three standard deviations.
 With `--values minutes=10` the base stops at random places around trees of the same kind until the motions and grips of
-a planner have taken that long.
+a planner have taken that long; `--values stops=3` ends after the first three places, the same for all planners.
 The recipe of MoveIt is RRTConnect, simplified and timed by toppra, with a padding of `PADDING_M`: once with all wood
 rigid, once without the wood that is thinner than the clamp radius. It picks the nearest fruit next and stops at
 stand-offs.
@@ -21,7 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,10 +30,11 @@ from studies.harness import Row, Study, StudyConfig, evenly_chosen
 from studies.measure import timed
 from studies.peers import ompl_path, seed_ompl, toppra_motion, world_of
 
-from hplan.apps.execution.bending_wood import BendingTrees
+from hplan.apps.execution.bending_wood import BendingTrees, WoodBodies
 from hplan.apps.execution.field_errors import SIGMAS, FieldErrors
-from hplan.apps.execution.simulated_arm import CONTROL_PERIOD, Plant, SimulatedArm
+from hplan.apps.execution.simulated_arm import CONTROL_PERIOD, Plant, SimulatedArm, import_mujoco
 from hplan.apps.execution.simulation import find_near
+from hplan.apps.execution.tree_response import TreeMonitor
 from hplan.apps.execution.wind import Wind
 from hplan.base.arrays import FloatArray
 from hplan.collision.coal_scene import base_contacts
@@ -41,6 +43,7 @@ from hplan.planning.grasps import Grasp
 from hplan.planning.options import PlanOptions
 from hplan.planning.reachable import FruitReach, reachable
 from hplan.robot.model import Robot
+from hplan.scene.limb_contacts import limbs_of
 from hplan.scene.model import Goal, Scene, Start, with_limbs
 from hplan.scene.obstacles import Capsule
 from hplan.scene.orchard import MeasuredOptions, measured_orchard
@@ -68,6 +71,9 @@ TRACKING_RAD, BANDWIDTH = 0.0003, 200.0
 
 #: Maximum distance of a fruit from the tool at which the gripper takes it [m], and the time that it takes [s].
 GRIPPER_M, GRIP_S = 0.03, 0.5
+
+#: Newton steps to the equilibrium of trees in wind.
+SWAY_STEPS = 20
 
 #: Clearance of the recipe [m], and the CPU time to find each path [s].
 PADDING_M, PATIENCE_S = 0.01, 3.0
@@ -221,11 +227,11 @@ def _recipe_motions(robot: Robot, scene: Scene, here: FloatArray, grasp: Grasp) 
 
 def _try(config: StudyConfig, trial: Trial) -> Row:
     """Plan and execute; forces and damage beside the fruit picked."""
-    allowed_s = 60.0 * config.values.get("minutes", (0.0,))[0]
-    if allowed_s <= 0.0:
+    if not config.values.keys() & {"minutes", "stops"}:
         return _at_stop(config, trial, None)
+    allowed_s, most = 60.0 * config.values.get("minutes", (math.inf,))[0], config.values.get("stops", (MOST_STOPS,))[0]
     rows, spent_s = list[Row](), 0.0
-    for stop in range(MOST_STOPS):
+    for stop in range(int(most)):
         rows.append(_at_stop(config, trial, stop))
         spent_s += rows[-1].get("worked_s", 0.0)
         if spent_s >= allowed_s:
@@ -261,6 +267,11 @@ def _at_stop(config: StudyConfig, trial: Trial, stop: int | None) -> Row:
         return row
     errors = FieldErrors(looks=int(config.values.get("looks", (LOOKS,))[0]))
     seen = errors.seen_scene(scene, random)
+    wind_seed = config.seed + trial.number + 1000 * (stop or 0)
+    wind = Wind(speed_m_s=config.values.get("wind", (WIND_M_S,))[0], seed=wind_seed)
+    if "sway" in config.values:
+        gust = wind.speed_m_s * (1.0 + config.values["sway"][0] * wind.intensity)
+        seen = _swaying(seen, _sway(scene, replace(wind, speed_m_s=gust, intensity=0.0)))
     if trial.planner == PLANNERS[0]:
         work = _plan_tour(config, robot, seen)
     else:
@@ -270,12 +281,51 @@ def _at_stop(config: StudyConfig, trial: Trial, stop: int | None) -> Row:
     if not work.grasps:
         return row
     plant = Plant(mass_factor=errors.mass_factor(random), bandwidth=BANDWIDTH, decoupled=True)
-    wind_seed = config.seed + trial.number + 1000 * (stop or 0)
-    wind = Wind(speed_m_s=config.values.get("wind", (WIND_M_S,))[0], seed=wind_seed)
     row |= _execute(robot, scene, work, plant, BendingTrees(wind=wind))
     is_harmful = row["broken"] or row["knocked_off"] or row["rigid_contacts"]
     is_far_off = row["tracking_mrad"] > 1e3 * _tracking(config)
     return row | {"fault": work.certified and bool(is_harmful or is_far_off)}
+
+
+def _swaying(seen: Scene, sway: Mapping[str, float]) -> Scene:
+    """The seen scene, whose standard deviations also cover displacements of limbs and fruit [m]."""
+    obstacles, fruits = (
+        tuple(
+            item.copy_unchecked({"sigma": item.sigma + sway[item.name] / SIGMAS}) if item.name in sway else item
+            for item in items
+        )
+        for items in (seen.obstacles, seen.fruits)
+    )
+    return seen.with_values(obstacles=obstacles, fruits=fruits)
+
+
+def _sway(scene: Scene, wind: Wind) -> dict[str, float]:
+    """Largest displacement of each limb and fruit in equilibrium with a steady wind [m]."""
+    mujoco, wood = import_mujoco(), scene.wood or Wood()
+    limbs, spec = limbs_of(scene.obstacles, wood), mujoco.MjSpec()
+    # With implicit damping, steps of this length are Newton's steps to the equilibrium [s].
+    spec.option.timestep = 1.0
+    bodies = WoodBodies(mujoco, spec, limbs, wood, BendingTrees(wind=wind))
+    bodies.add_limbs(limbs.names)
+    bodies.add_fruits(scene.fruits, [fruit.name for fruit in scene.fruits])
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    monitor = TreeMonitor(mujoco, model, data, bodies)
+    geoms = [model.geom(name).id for name in bodies.obstacle_of]
+    half = np.where(model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_CAPSULE, model.geom_size[geoms, 1], 0.0)
+
+    def ends() -> FloatArray:
+        along = half[:, None] * data.geom_xmat[geoms].reshape(-1, 3, 3)[:, :, 2]
+        return np.stack([data.geom_xpos[geoms] - along, data.geom_xpos[geoms] + along])
+
+    rest = ends()
+    for _ in range(SWAY_STEPS):
+        monitor.blow()
+        mujoco.mj_step(model, data)
+    moved, found = np.linalg.norm(ends() - rest, axis=2).max(axis=0), dict[str, float]()
+    for name, distance in zip(bodies.obstacle_of.values(), moved.tolist(), strict=True):
+        found[name] = max(found.get(name, 0.0), distance)
+    return found
 
 
 def _execute(robot: Robot, scene: Scene, work: _Work, plant: Plant, trees: BendingTrees) -> Row:

@@ -178,6 +178,16 @@ def test_stronger_wood_does_not_break(swept: Execution, robot: Robot) -> None:
     assert broken.broken[0].load > 1.0
 
 
+@pytest.mark.parametrize("bending", [("shoot",), ()])
+def test_only_named_limbs_bend(robot: Robot, bending: tuple[str, ...]) -> None:
+    scene = task(START, GOAL, [TRUNK, SHOOT], wood=Wood())
+    motion = straight(robot, np.radians(START), np.radians(GOAL), 2.0, 100.0)
+    result = execute(robot, scene, motion, trees=BendingTrees(), bending=bending)
+    assert result.trees is not None
+    assert {one.limb for one in result.trees.contacts} == set(bending)
+    assert {touch.obstacle for touch in result.contacts} == {"shoot"} - set(bending)
+
+
 def test_limbs_are_found_in_a_scene_without_wood(robot: Robot) -> None:
     bare = [piece.model_copy(update={"parent": None}) for piece in (TRUNK, SHOOT)]
     motion = straight(robot, np.radians(START), np.radians(GOAL), 2.0, 100.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import tarfile
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,16 +14,19 @@ import numpy as np
 import pytest
 import yaml
 from script_loader import load_script
-from studies import harness, motionbenchmaker, reference, wood_trial
+from studies import harness, motionbenchmaker, reference, wood_grasps, wood_trial
 from studies import trees as among_trees
 from studies import wood as bending_wood
 from studies.harness import Study, StudyConfig, read_rows
 from studies.outside import TimedMotion
 from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
 
+from hplan.apps.execution.wind import Wind
 from hplan.errors import InputError
 from hplan.planning.failures import REASONS
-from hplan.scene.model import Scene
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Capsule
+from hplan.scene.wood import Wood
 
 script = load_script("benchmark")
 
@@ -255,6 +259,10 @@ def test_trees_that_bend(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     (pick,) = rows_of("wood_picks", tmp_path, "--trees", trees, "--count", "1")
     assert pick["certified"]
     assert pick["rigid_contacts"] == pick["broken"] == pick["knocked_off"] == 0
+    monkeypatch.setattr(wood_grasps, "GRASPS", 1)
+    grasped = rows_of("wood_grasps", tmp_path, "--trees", trees, "--count", "1")
+    assert grasped
+    assert all(row["pushes"] > 0 and 0.0 <= row["goal_ratio"] < 1.0 for row in grasped)
 
 
 def test_motions_of_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -316,3 +324,18 @@ def test_a_trial_of_minutes_sums_up_its_stops(monkeypatch: pytest.MonkeyPatch) -
     found = wood_trial._try(StudyConfig(values={"minutes": (1.0,)}), trial)
     assert (found["stops"], found["picked"], found["broken"], found["limb_force_n"]) == (4, 6, 3, 3.0)
     assert found["fruit_per_hour"] == pytest.approx(3600.0 * 6 / 75.0)
+    assert wood_trial._try(StudyConfig(values={"stops": (2.0,)}), trial)["stops"] == 2
+
+
+def test_sway_of_a_limb_in_steady_wind_is_that_of_a_cantilever() -> None:
+    pytest.importorskip("mujoco", reason="the extra `execution` is not installed")
+    trunk = Capsule(name="trunk", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, 3.0), radius=0.03)
+    shoot = Capsule(name="shoot", start=(0.0, 0.0, 1.0), end=(0.0, 0.8, 1.0), radius=0.005, parent="trunk")
+    rest = Start(joints_deg=(0.0,)), Goal(joints_deg=(0.0,))
+    scene = Scene(name="tree", start=rest[0], goal=rest[1], obstacles=(trunk, shoot), wood=Wood())
+    sway = wood_trial._sway(scene, Wind(speed_m_s=2.0, intensity=0.0, leaf_width_m=0.02))
+    load = 0.5 * 1.2 * 2.0**2 * (2.0 * 0.005 + 0.02)  # newton per metre
+    rigidity = 5e9 * 0.25 * math.pi * 0.005**4
+    assert sway["shoot"] == pytest.approx(load * 0.8**4 / (8.0 * rigidity), rel=0.05)
+    seen = wood_trial._swaying(scene, sway)
+    assert [3.0 * item.sigma for item in seen.obstacles] == pytest.approx([0.0, sway["shoot"]])

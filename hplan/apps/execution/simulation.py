@@ -276,6 +276,7 @@ def execute(
     trees: BendingTrees | None = None,
     *,
     picks: Sequence[Pick] = (),
+    bending: Collection[str] | None = None,
 ) -> Execution:
     """Execute a motion on a simulated arm among a scene's obstacles.
 
@@ -290,6 +291,7 @@ def execute(
         trees: Properties of limbs that bend and fruit that hang, near the motion; None for rigid and yielding ones.
         picks: The fruit that the motion picks, each an obstacle until it may be touched, as in a tour. Without any, the
             goal fruit touches nothing.
+        bending: Names of the limbs that bend, and of the fruit that hang; None for those near the motion.
 
     Raises:
         InputError: MuJoCo is not installed; a fruit to pick is not in the scene; the motion has other joints than the
@@ -316,8 +318,9 @@ def execute(
         if unknown is not None:
             raise InputError(f"the scene has no fruit {unknown!r} to pick", fruit=unknown)
         scene = scene.copy_unchecked({"goal": Goal(joints_rad=tuple(end.tolist()))})
-    near = None if trees is None else find_near(robot, scene, reference.position)
-    arm = SimulatedArm(robot, scene, plant, trees=trees, bending=near, picked=[pick.fruit for pick in picks])
+    if trees is not None and bending is None:
+        bending = find_near(robot, scene, reference.position)
+    arm = SimulatedArm(robot, scene, plant, trees=trees, bending=bending, picked=[pick.fruit for pick in picks])
     return _track_reference(arm, reference, scene, start, end, picks)
 
 

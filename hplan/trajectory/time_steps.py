@@ -24,7 +24,7 @@ FADED = 100
 AHEAD = 0.8
 
 #: Maximum number of corrections of a step, and differences that count as zero [rad].
-LOOKS, ROUNDING = 4, 1e-13
+LOOKS, ROUNDING = 16, 1e-13
 
 #: If no step satisfies the limits, this many previous samples are repeated with their changes scaled by `LESS`, twice
 #: as many after each further failure; at most `MOST_RETURNS` times.

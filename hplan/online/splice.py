@@ -30,7 +30,14 @@ from hplan.certificate.retimed_certificate import CertifiedMotion, certified_fro
 from hplan.certificate.task_check import TASK_TOLERANCE
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.held_objects import holding
-from hplan.errors import HplanError, InputError, NotOnMotionError, RunningMotionBlockedError, UnavoidableContactError
+from hplan.errors import (
+    HplanError,
+    InputError,
+    NotOnMotionError,
+    PlanCancelledError,
+    RunningMotionBlockedError,
+    UnavoidableContactError,
+)
 from hplan.planning.in_time import without_moving
 from hplan.planning.motion import require_certificate
 from hplan.planning.options import PlanOptions
@@ -50,10 +57,12 @@ class SplicedResult(PlanResult):
         seam_s: Start of the new motion, from the start of the trajectory [s]; the trajectory's end if the motion is
             kept.
         is_kept: True if there is no new motion: the previous motion continues.
+        is_improved: True if a faster motion near the one that runs was searched.
     """
 
     seam_s: float = 0.0
     is_kept: bool = False
+    is_improved: bool = False
 
 
 def _state_at(trajectory: Trajectory, row: int) -> Start:
@@ -182,12 +191,15 @@ class RunningMotion:
         time = self.plan.trajectory.time
         seam = int(np.searchsorted(time, self._since_begin("at", at, self._now) - self._same_s))
         self._world.check_base()
+        kept: SplicedResult | None = None
         if self._may_stay():
             certificate = self._certificate(
                 Retimed.cut(self.plan.trajectory, self.plan.trajectory.samples - 1), self.row, rest=True, measured=False
             )
             if certificate.verified:
-                return self._keep(certificate)
+                kept = self._keep(certificate)
+                if not self._may_be_faster:
+                    return kept
         until = self._certificate(Retimed.cut(self.plan.trajectory, seam), self.row)
         if not until.verified:
             raise self._takeover_error(until.violations)
@@ -196,13 +208,24 @@ class RunningMotion:
         )
 
         def stop() -> Trajectory:
+            if kept is not None:
+                return self.plan.trajectory.cut_before(seam)
             return stop_motion(self.plan.trajectory, float(time[seam]), self._robot).trajectory.cut_before(seam)
 
+        problem = Problem.from_scene(self._robot, scene, self._options)
         try:
-            new = solve_scene(Problem.from_scene(self._robot, scene, self._options), stop=stop)
-        except UnavoidableContactError as error:
-            raise self._takeover_error(error.reasons) from error
-        return self._join(seam, until, new)
+            new = solve_scene(problem, stop=stop, at_once=None if kept is None else False)
+        except HplanError as error:
+            if kept is not None and not isinstance(error, PlanCancelledError):
+                return kept
+            if isinstance(error, UnavoidableContactError):
+                raise self._takeover_error(error.reasons) from error
+            raise
+        if kept is None:
+            return self._join(seam, until, new)
+        least_gain_s = 1.0 / self._options.rate_hz
+        is_faster = time[seam] + new.trajectory.duration < time[-1] - least_gain_s
+        return replace(self._join(seam, until, new) if is_faster else kept, is_improved=True)
 
     def stop_at(self, t: float) -> CertifiedMotion:
         """Return the fastest stop on the motion's path, certified from now on.
@@ -236,6 +259,16 @@ class RunningMotion:
             and (before.certified_tracking, before.sigmas) == (now.certified_tracking, now.sigmas)
             and plan.scene.surroundings == scene.surroundings
         )
+
+    @property
+    def _may_be_faster(self) -> bool:
+        """True if the search for the running motion ended with the first one, and none has been searched near it.
+
+        To joints among obstacles that do not move.
+        """
+        plan, scene = self.plan, self._scene
+        is_improved = isinstance(plan, SplicedResult) and plan.is_improved
+        return plan.problem.options.at_once and scene.goal.has_joints and not scene.moves and not is_improved
 
     def _may_stay(self) -> bool:
         """True if the motion solves the current task."""
@@ -313,6 +346,7 @@ class RunningMotion:
         first = trajectory.cut_after(int(np.searchsorted(trajectory.time, phases[0].end_s - SAME_TIME)))
         motion = replace(transit, problem=problem, trajectory=first, certificate=certificate)
         values = {name: getattr(made, name) for name in PlanResult.__dataclass_fields__}
+        values["is_improved"] = is_kept and isinstance(made, SplicedResult) and made.is_improved
         values |= {
             "trajectory": trajectory,
             "certificate": certificate,

@@ -18,6 +18,9 @@ from hplan.collision.compiled_field import ClearanceField
 from hplan.collision.compiled_motions import segment_is_clear
 from hplan.collision.compiled_obstacles import FieldArrays
 
+#: Number of shortcuts tried by default.
+SHORTCUTS = 300
+
 #: Waypoints closer to each other than this are merged [rad].
 _MERGE = 1e-9
 
@@ -33,7 +36,7 @@ def without_twins(path: FloatArray) -> FloatArray:
     return np.array(kept)
 
 
-def shorten(path: FloatArray, field: ClearanceField, *, margin: float, rounds: int = 300) -> FloatArray:
+def shorten(path: FloatArray, field: ClearanceField, *, margin: float, rounds: int = SHORTCUTS) -> FloatArray:
     """Shorten a collision-free path.
 
     Args:

@@ -11,7 +11,7 @@ from hplan.collision.compiled_field import ClearanceField
 from hplan.errors import CertificationError, InputError
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.push_clear import clear_spline
-from hplan.optimization.shortcut import shorten
+from hplan.optimization.shortcut import SHORTCUTS, shorten
 from hplan.robot.limits import least_duration, rest_to_rest
 from hplan.trajectory.corner_rounding import clear_rounding
 from hplan.trajectory.spline import SplinePath
@@ -19,6 +19,11 @@ from hplan.trajectory.spline import SplinePath
 #: Numbers of control points of the optimizer's initial spline, tried in order: about as few as suffice. Where none of
 #: them keeps the margin, the last one may keep a part of it.
 _FAST_CONTROL_POINTS = (6, 8, 10, 14, 20, 30, 44)
+
+#: Numbers of control points of the first smooth path, tried in order. Any collision-free spline suffices there: a
+#: failed attempt costs milliseconds, and more control points succeed more often. The second are for a first motion at
+#: once.
+CONTROL_POINTS, FIRST_CONTROL_POINTS = (6, 10, 14, 20, 30, 44, 8, 12), (10, 20, 44)
 
 #: Number of shortcuts tried before an optimization: a less taut path has more clearance.
 START_SHORTCUTS = 25
@@ -36,13 +41,21 @@ FEW = 20
 SMALLEST_FRACTION = 0.05
 
 
-def clear_path(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> SplinePath:
+def clear_path(
+    path: FloatArray,
+    field: ClearanceField,
+    options: PostprocessOptions,
+    counts: Sequence[int] = CONTROL_POINTS,
+    rounds: int = SHORTCUTS,
+) -> SplinePath:
     """First smooth path near a collision-free polyline, verified collision-free.
 
     The straight motion is returned if it is as fast.
 
     Args:
         path: (m, dof) waypoints, m >= 2.
+        counts: Numbers of control points, tried in order.
+        rounds: Number of shortcuts tried if none of them succeeds and corners are rounded.
 
     Raises:
         InputError: Start and goal of the path coincide.
@@ -52,13 +65,10 @@ def clear_path(path: FloatArray, field: ClearanceField, options: PostprocessOpti
     if is_straight(path, field, options):
         return SplinePath.from_control_points(np.linspace(path[0], path[-1], 4))
     near = near_field(path, field, NEAR)
-    # Any collision-free spline suffices here: a failed attempt costs milliseconds, and more control points succeed more
-    # often.
-    counts = (6, 10, 14, 20, 30, 44, 8, 12)
     found = clear_start(path, near, options, counts, counts)
     if found is not None and (near is field or found.is_clear(field, 0.5 * smallest)):
         return found
-    return clear_rounding(shorten(path, field, margin=smallest), field, margin=smallest)
+    return clear_rounding(shorten(path, field, margin=smallest, rounds=rounds), field, margin=smallest)
 
 
 def short_path(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> SplinePath:

@@ -125,13 +125,13 @@ EFFORTS: dict[EffortName, Effort] = {
 def efforts_of(presets: Mapping[EffortName, Effort], options: PlanOptions) -> tuple[Effort, ...]:
     """The budgets of successive searches; the last is the requested one.
 
-    With a deadline a first motion comes at once. An optimizer with more starts need not find everything that one with
-    fewer starts finds, so `best` includes `default`.
+    With a deadline, or if it is requested, a first motion comes at once. An optimizer with more starts need not find
+    everything that one with fewer starts finds, so `best` includes `default`.
     """
     requested, quick = presets[options.effort], presets["quick"]
     first = replace(requested, starts=_FIRST_SOLUTION, begun=quick.begun, long_pairs=0, proof_nodes=0.0, at_once=True)
     efforts = (
-        *((first,) if options.deadline_s is not None else ()),
+        *((first,) if options.at_once or options.deadline_s is not None else ()),
         *((presets["default"],) if options.effort == "best" else ()),
         requested,
     )

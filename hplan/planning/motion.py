@@ -23,7 +23,14 @@ from hplan.optimization.coarse_profile import coarse_profile
 from hplan.optimization.minimize_time import LONGEST_MOTION_S, OptimizerEffort, TimedMotion, minimize_time, rough_motion
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.several_starts import NEAR_PATH_M, fastest_motions, optimization_starts
-from hplan.optimization.smooth_path import clear_path, is_straight, near_field, short_path
+from hplan.optimization.smooth_path import (
+    FIRST_CONTROL_POINTS,
+    START_SHORTCUTS,
+    clear_path,
+    is_straight,
+    near_field,
+    short_path,
+)
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import BoundaryState
 from hplan.planning.grasps import Grasp
@@ -32,6 +39,7 @@ from hplan.planning.problem import Problem
 from hplan.planning.stages import stage
 from hplan.robot.limits import GeometricPath, Limits
 from hplan.trajectory.retime import time_path
+from hplan.trajectory.speed_profile import parameter_grid
 from hplan.trajectory.spline import SplinePath
 from hplan.trajectory.trajectory import Phase, Trajectory, join_trajectories
 
@@ -39,6 +47,9 @@ _T = TypeVar("_T")
 
 #: Samples per second of a draft.
 _DRAFT_HZ = 100.0
+
+#: Number of grid points for the speed of a first motion at once, in addition to the knots.
+_FIRST_GRID_POINTS = 200
 
 #: A draft that takes longer than this multiple of the lower bound on its duration is optimized coarsely.
 _SLOW_DRAFT = 3.0
@@ -224,10 +235,17 @@ def motion_along(problem: Problem, polyline: Path, margin: float) -> Motion:
         TimingError: The path cannot be timed.
     """
     options = smoothing_options(problem, margin)
+    at_once, grid = problem.options.at_once, None
     with stage("postprocess"):
-        smooth_path = short_path if problem.options.objective == "length" else clear_path
-        path = smooth_path(polyline.waypoints, problem.field, options)
-    return _transit(problem, polyline, path, *certified_trajectory(problem, path))
+        if problem.options.objective == "length":
+            path = short_path(polyline.waypoints, problem.field, options)
+        elif at_once:
+            path = clear_path(polyline.waypoints, problem.field, options, FIRST_CONTROL_POINTS, START_SHORTCUTS)
+        else:
+            path = clear_path(polyline.waypoints, problem.field, options)
+    if at_once:
+        grid = parameter_grid(path, _FIRST_GRID_POINTS)
+    return _transit(problem, polyline, path, *certified_trajectory(problem, path, grid=grid))
 
 
 def improve(motion: Motion) -> Iterator[Motion]:

@@ -61,6 +61,7 @@ class PlanOptions(Options):
         bound: True to compute a lower bound of the duration of all motions, too (`hplan.planning.lower_bound`). It
             takes seconds if the base does not turn and obstacles block the way. Tours have no bound.
         seed: Random seed of the sampling-based planner; each seed is deterministic, but may lead to another motion.
+        at_once: True for the first certified motion, however slow. `Planner.replan` makes it faster while it runs.
         deadline_s: Maximum planning time, from the call; None for no limit [s]. The number of motions certified by then
             depends on the machine, so plans with a deadline are not reproducible.
 
@@ -92,6 +93,7 @@ class PlanOptions(Options):
     certify: bool = True
     bound: bool = False
     seed: Annotated[int, Field(ge=0, le=2**31)] = 0
+    at_once: bool = False
     deadline_s: Positive | None = None
 
     def __post_init__(self) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from hplan.base.arguments import function, instance
@@ -135,7 +136,12 @@ def check_task(
 
 
 def solve_scene(
-    problem: Problem, *, progress: Progress = no_progress, before: Motion | None = None, stop: StopMaker | None = None
+    problem: Problem,
+    *,
+    progress: Progress = no_progress,
+    before: Motion | None = None,
+    stop: StopMaker | None = None,
+    at_once: bool | None = None,
 ) -> PlanResult:
     """Solve the problem of a scene.
 
@@ -147,6 +153,7 @@ def solve_scene(
         progress: Called with the name of each stage as it begins.
         before: An earlier motion, kept or repaired if possible (`hplan.planning.solver.reuse_motion`).
         stop: Returns a motion to rest from a start in motion, tried before the default ones.
+        at_once: True for the first motion found; None for the option of this name.
 
     Raises:
         HplanError: As in `plan`.
@@ -156,6 +163,8 @@ def solve_scene(
         with stage_clock(progress) as clock, time_limit(options.deadline_s) as limit:
             try:
                 found = solver(before, stop)(problem)
+                if options.at_once if at_once is None else at_once:
+                    found = islice(found, 1)
                 result = plan_result(best_of(found)) if options.deadline_s is None else _last_in_time(found, limit)
             except TimeIsUpError:
                 raise limit.error(clock.describe()) from None

@@ -94,23 +94,17 @@ def _plans_in_motion(problem: Problem, state: BoundaryState, solve: Solver, stop
         try:
             # A motion to joints is certified once it is blended: its start, from rest, is a draft.
             is_draft = problem.scene.goal.has_joints and problem.scene.wood is None
-            goal = goal_of(problem) if is_draft else None
-            direct = _move_directly(goal, state) if isinstance(goal, Problem) else None
+            found = goal_of(problem) if is_draft else None
+            goal = found if isinstance(found, Problem) else None
+            direct = None if goal is None else _move_directly(goal, state)
             if direct is not None:
                 yield Plan(direct)
                 return
-            stopped = _stop_before(problem, goal, state, stop) if isinstance(goal, Problem) else None
-            start = problem.start if stopped is None else stopped.position[-1]
-            planned = solve(replace(problem, is_draft=is_draft, start=start))
-            # With an effort to which every motion is close enough, the first draft is, too.
-            takes_first = is_draft and math.isinf(problem.effort.close)
-            is_timed = options.deadline_s is not None
-            for plan in islice(planned, 1) if takes_first else planned if is_timed else [best_of(planned)]:
-                whole = plan if stopped is None or not isinstance(goal, Problem) else _with_start(plan, goal)
-                blended = _blend_start(whole, state, stopped)
-                if blended is not None:
+            # For a first motion at once, a stop and a plan from its end are certified before both are blended.
+            if not options.at_once:
+                for plan in _drafts_blended(problem, goal, state, solve, stop):
                     is_found = True
-                    yield blended
+                    yield plan
         except HplanError as error:
             if isinstance(error, ConfigurationInCollisionError) and error.which == "start":
                 raise
@@ -139,6 +133,31 @@ def _plans_in_motion(problem: Problem, state: BoundaryState, solve: Solver, stop
     blended = _blend_start(stopping, state) if may_be_blended else None
     if blended is not None:
         yield blended
+
+
+def _drafts_blended(
+    problem: Problem, goal: Problem | None, state: BoundaryState, solve: Solver, stop: StopMaker | None
+) -> Iterator[Plan]:
+    """Plans from rest, blended with a state of motion; those of a goal given as joints are drafts before.
+
+    Args:
+        goal: The problem with its goal configuration; None if the goal is not given as joints, or wood is compliant.
+
+    Raises:
+        HplanError: No plan from rest was found, as raised by `solve`.
+    """
+    is_draft, options = goal is not None, problem.options
+    stopped = None if goal is None else _stop_before(problem, goal, state, stop)
+    start = problem.start if stopped is None else stopped.position[-1]
+    planned = solve(replace(problem, is_draft=is_draft, start=start))
+    # With an effort to which every motion is close enough, the first draft is, too.
+    takes_first = is_draft and math.isinf(problem.effort.close)
+    is_timed = options.deadline_s is not None
+    for plan in islice(planned, 1) if takes_first else planned if is_timed else [best_of(planned)]:
+        whole = plan if stopped is None or goal is None else _with_start(plan, goal)
+        blended = _blend_start(whole, state, stopped)
+        if blended is not None:
+            yield blended
 
 
 def _is_within(problem: Problem, state: BoundaryState) -> bool:

@@ -9,9 +9,10 @@ after their computation began, and are dropped if it took more CPU time than tha
 An outside judge checks the executed motion: contacts with the true obstacles, and limits by position differences.
 Moving obstacles do not avoid the arm and may strike it while it rests: these contacts are counted separately.
 
-Scenes: random ones (`studies.arms`) without and with a cloud of balls (`still`, `cloud`); balls that accelerate at
-random (`drifting`); and the scenes of Covic and Lacevic (arXiv 2603.00759) in the folder `data/xarm6` of their program
-RPMPLv2, --files: `boxes`, which their program `generate_random_scenarios` draws, and `pillars`.
+Scenes: random ones (`studies.arms`) without and with a cloud of balls (`still`, `cloud`), where the first
+motion found is followed at once and improved while it runs (`--values at_once=0`: improved first); balls that
+accelerate at random (`drifting`); and the scenes of Covic and Lacevic (arXiv 2603.00759) in the folder `data/xarm6` of
+their program RPMPLv2, --files: `boxes`, which their program `generate_random_scenarios` draws, and `pillars`.
 """
 
 from __future__ import annotations
@@ -114,17 +115,19 @@ class Follower:
 
     Attributes:
         counts: Number of ticks with a retarget of the moving arm, of refused stops, and of ticks at rest.
-        splices: Number of plans by outcome.
+        splices: Number of plans by outcome; `improved` are faster motions to the same goal.
         stop_ms: CPU time of each `Planner.aim` of the moving arm [ms].
-        splice_ms: CPU time of each new motion of the moving arm [ms].
-        refusal_ms: CPU time until no new motion was found for the moving arm [ms].
-        to_better: Durations of splices relative to another planner's.
+        splice_ms: CPU time of each motion of the moving arm to a new goal [ms].
+        improve_ms: CPU time of each search for a faster motion to the same goal [ms].
+        refusal_ms: CPU time until no such motion was found [ms].
+        first_to_better: Durations of these motions, from the seam on, relative to another planner's.
+        to_better: The same once they are improved.
     """
 
-    def __init__(self, world: World, better: PlanOptions | None) -> None:
+    def __init__(self, world: World, better: PlanOptions | None, *, at_once: bool) -> None:
         # Moving obstacles end a search that would be late; a loaded machine's clock runs faster than CPU time.
         deadline_s = None if world.crowd is None else max(1.0, 5.0 * world.ahead * world.tick_s)
-        options = PlanOptions(effort="quick", deadline_s=deadline_s)
+        options = PlanOptions(effort="quick", at_once=at_once, deadline_s=deadline_s)
         self._world, self._planner = world, Planner(world.robot, world.scene, options)
         self._better = None if better is None else Planner(world.robot, world.scene, better)
         self._rest = world.scene.start.configuration
@@ -138,7 +141,10 @@ class Follower:
         self._coming: tuple[PlanResult, int] | None = None
         self.counts = dict.fromkeys(("retargets", "refused", "resting"), 0)
         self.splices = Counter[str]()
-        self.stop_ms, self.splice_ms, self.refusal_ms, self.to_better = (list[float]() for _ in range(4))
+        self.stop_ms, self.splice_ms, self.improve_ms, self.refusal_ms = (list[float]() for _ in range(4))
+        self.first_to_better, self.to_better = list[float](), list[float]()
+        # Seam of the last splice to a new goal, and the ends of its motion and of the other planner's [s].
+        self._compared: tuple[float, float, float] | None = None
 
     def positions(self, clock: FloatArray) -> FloatArray:
         """(n, dof) positions at (n,) times [s], as long as nothing else is decided."""
@@ -221,9 +227,12 @@ class Follower:
             found, took_ms = timed(lambda: or_error(lambda: planner.plan(begins_s=at)))
         planner.last = before
         is_kept = getattr(found, "is_kept", False)
-        if is_moving and not is_kept:
+        is_new = before is not None and is_moving and before.scene.goal != planner.scene.goal
+        if is_new:
             (self.refusal_ms if isinstance(found, HplanError) else self.splice_ms).append(took_ms)
-            self._compare(found, before, at, now)
+            self.compare(found, before, at, now)
+        elif is_moving and getattr(found, "is_improved", False) and not getattr(before, "is_improved", False):
+            self.improve_ms.append(took_ms)
         known = number + math.ceil(1e-3 * took_ms / world.tick_s)
         is_late = known + world.lag > number + world.ahead or isinstance(found, NotInTimeError)
         is_error = isinstance(found, HplanError)
@@ -231,18 +240,30 @@ class Follower:
             self._coming = found, known
         # After a failure, the next plan takes the obstacles as fixed at their predicted places.
         self._in_time = not (self._in_time and (is_late or is_error))
-        outcome = "late" if is_late else type(found).__name__ if is_error else "kept" if is_kept else "certified"
-        self.splices[outcome] += 1
+        if is_late and is_new:
+            self._compared = None  # it is not followed
+        is_improved = is_moving and not is_new and not is_kept
+        if self._compared is not None and self._coming is not None and is_improved:
+            self._compared = *self._compared[:2], _end_s(self._coming[0])
+        is_found = "kept" if is_kept else "improved" if is_improved else "certified"
+        self.splices["late" if is_late else type(found).__name__ if is_error else is_found] += 1
 
-    def _compare(self, found: PlanResult | HplanError, before: PlanResult | None, at: float, now: float) -> None:
-        """Plan the same splice with another effort."""
+    def compare(
+        self, found: PlanResult | HplanError | None, before: PlanResult | None = None, at: float = 0.0, now: float = 0.0
+    ) -> None:
+        """Note the last splice as it was improved, and plan the same one as a found one with another effort."""
+        if self._compared is not None:
+            at_s, better_s, end_s = self._compared
+            self.to_better.append(ratio(end_s - at_s, better_s - at_s) or math.inf)
+            self._compared = None
         other = self._better
-        if other is None or isinstance(found, HplanError):
+        if other is None or found is None or isinstance(found, HplanError):
             return
         other.scene, other.last = self._planner.scene, before
         better = or_error(lambda: other.replan(at=at, now=now))
         if not isinstance(better, HplanError):
-            self.to_better.append(ratio(found.trajectory.duration, better.trajectory.duration) or math.inf)
+            self._compared = at, _end_s(better), _end_s(found)
+            self.first_to_better.append(ratio(_end_s(found) - at, _end_s(better) - at) or math.inf)
 
 
 def _end_s(plan: PlanResult) -> float:
@@ -255,7 +276,9 @@ def _row(config: StudyConfig, problem: tuple[str, int]) -> Row:
     rng = np.random.default_rng([config.seed, number])
     world = _WORLDS[kind](config, number, rng)
     ticks = int(config.values.get("ticks", [world.ticks])[0])
-    arm = Follower(world, PlanOptions(effort=config.effort) if world.crowd is None else None)
+    better = PlanOptions(effort=config.effort) if world.crowd is None else None
+    at_once = world.crowd is None and bool(config.values.get("at_once", [1])[0])
+    arm = Follower(world, better, at_once=at_once)
     samples, done, goal = round(world.tick_s / SAMPLE_S), list[FloatArray](), world.goals[0]
     target_s = None
     for tick in range(ticks):
@@ -270,11 +293,12 @@ def _row(config: StudyConfig, problem: tuple[str, int]) -> Row:
         arm.tick(tick, [] if world.crowd is None else world.crowd.seen(now), goal)
         clock: FloatArray = SAMPLE_S * np.arange(tick * samples, (tick + 1) * samples, dtype=np.float64)
         done.append(arm.positions(clock))
+    arm.compare(None)
     if world.crowd is not None:
         world.crowd.advance(ticks * world.tick_s)
     row: Row = {"name": world.scene.name, "arm": world.robot.name, "kind": [kind, f"{kind}, {world.robot.name}"]}
     row |= arm.counts | _judged(world, np.concatenate(done))
-    for key in ("splices", "stop_ms", "splice_ms", "refusal_ms", "to_better"):
+    for key in ("splices", "stop_ms", "splice_ms", "improve_ms", "refusal_ms", "first_to_better", "to_better"):
         row[key] = getattr(arm, key)
     if len(world.goals) == 1:
         row |= {"success": target_s is not None and row["contacts"] + row["struck_at_rest"] == 0, "target_s": target_s}
@@ -458,7 +482,9 @@ RETARGETS = Study(
         "resting",
         "stop_ms",
         "splice_ms",
+        "improve_ms",
         "refusal_ms",
+        "first_to_better",
         "to_better",
         "contacts",
         "struck_at_rest",

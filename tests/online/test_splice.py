@@ -105,6 +105,56 @@ def test_motion_at_its_limits_is_left_without_a_stop(robot):
     assert speeds[first:-20].min() > 0.05
 
 
+@pytest.fixture
+def around(robot) -> Planner:
+    """A planner whose running motion leads around a ball, and whose new goal is on the other side of it."""
+    ball = Sphere(name="in the way", center=on_the_way(robot, a_planner(robot)[1].trajectory, 0.5), radius=0.3)
+    scene = task((-40.0, 45.0, 40.0, 30.0), (40.0, 45.0, 40.0, 30.0), [ball])
+    planner = Planner(robot, scene, PlanOptions(effort="quick", at_once=True))
+    planner.plan()
+    planner.aim(goal=BACK)
+    return planner
+
+
+def test_first_splice_stops_the_arm_and_is_made_faster_while_it_runs(robot, around, monkeypatch):
+    planner, before = around, around.last
+    now = 0.7 * before.trajectory.duration
+    first = planner.replan(at=now + 0.1, now=now)
+    assert_spliced(robot, planner.scene, before, first)
+    assert not first.is_kept
+    assert not first.is_improved
+    seam = int(np.searchsorted(first.trajectory.time, first.seam_s))
+    assert np.abs(first.trajectory.velocity[seam:-20]).max(axis=1).min() < 1e-6  # it stops first
+    end_s = first.begins_s + first.trajectory.duration
+    # A motion near it takes over before the stop is complete.
+    now = first.begins_s + first.seam_s + 0.02
+    faster = planner.replan(at=now + 0.05, now=now)
+    assert_spliced(robot, planner.scene, first, faster)
+    assert not faster.is_kept
+    assert faster.is_improved
+    assert faster.begins_s + faster.trajectory.duration < end_s - 0.05
+    # It is searched once.
+    monkeypatch.setattr("hplan.online.splice.solve_scene", None)
+    assert planner.replan(at=now + 0.1, now=now + 0.06).is_kept
+    assert planner.last.is_improved
+
+
+def test_faster_motion_that_is_not_found_in_time_is_searched_again(around, monkeypatch):
+    planner, now = around, 0.7 * around.last.trajectory.duration
+    first = planner.replan(at=now, now=now)
+
+    def late(*_: object, **__: object) -> PlanResult:
+        raise NotInTimeError(0.1, 0.1, [])
+
+    with monkeypatch.context() as patched:
+        patched.setattr("hplan.online.splice.solve_scene", late)
+        kept = planner.replan(at=now + 0.1, now=now + 0.02)
+    assert kept.is_kept
+    assert not kept.is_improved
+    assert kept.begins_s + kept.trajectory.duration == pytest.approx(first.begins_s + first.trajectory.duration)
+    assert planner.replan(at=now + 0.1, now=now + 0.03).is_improved
+
+
 def test_new_goal_returns_the_stop_to_follow_until_its_motion_is_known(robot):
     planner, before = a_planner(robot)
     aimed = planner.aim(goal=BACK, now=0.3, at=0.4)

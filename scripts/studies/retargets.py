@@ -242,7 +242,7 @@ class Follower:
         self._in_time = not (self._in_time and (is_late or is_error))
         if is_late and is_new:
             self._compared = None  # it is not followed
-        is_improved = is_moving and not is_new and not is_kept
+        is_improved = is_moving and not is_new and not is_kept and getattr(found, "is_improved", False)
         if self._compared is not None and self._coming is not None and is_improved:
             self._compared = *self._compared[:2], _end_s(self._coming[0])
         is_found = "kept" if is_kept else "improved" if is_improved else "certified"

@@ -44,6 +44,7 @@ from hplan.certificate.configuration_check import check
 from hplan.certificate.retimed_certificate import CertifiedMotion
 from hplan.errors import HplanError, InputError, NotInTimeError
 from hplan.online.planner import Planner
+from hplan.online.warm_up import warm_up
 from hplan.planning.options import PlanOptions
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot, load_robot
@@ -329,15 +330,23 @@ def _judged(world: World, q: FloatArray) -> Row:
     }
 
 
+@functools.cache
+def _ready_arm(name: str) -> Robot:
+    """An arm after the warm-up that programs of controllers begin with."""
+    robot = load_robot(name)
+    warm_up(robot)
+    return robot
+
+
 def _still(config: StudyConfig, number: int, rng: np.random.Generator) -> World:
-    robot = load_robot(ARMS[number % len(ARMS)])
+    robot = _ready_arm(ARMS[number % len(ARMS)])
     scene = random_scene(robot, config.seed, number)
     return _with_goals("still", robot, scene, rng)
 
 
 def _cloud(config: StudyConfig, number: int, rng: np.random.Generator) -> World:
     """A still scene with more obstacles: shells of balls, clear of its start and goal."""
-    robot = load_robot(ARMS[number % len(ARMS)])
+    robot = _ready_arm(ARMS[number % len(ARMS)])
     scene = random_scene(robot, config.seed, number)
     reach_m, shells = reach_of(robot, rng), list[PointCloud]()
     while len(shells) < CLOUD // SHELL:
@@ -364,7 +373,7 @@ def _with_goals(kind: str, robot: Robot, scene: Scene, rng: np.random.Generator)
 
 
 def _drifting(config: StudyConfig, number: int, rng: np.random.Generator) -> World:
-    robot = load_robot(ARMS[number % len(ARMS)])
+    robot = _ready_arm(ARMS[number % len(ARMS)])
     extent = reach_of(robot, rng)
     floor = Box(name="floor", center=(0.0, 0.0, -0.08), size=(4.0, 4.0, 0.1))
     ends = [ends for _ in range(GOALS) if (ends := free_ends(robot, rng, [floor], extent)) is not None]

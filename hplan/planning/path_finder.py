@@ -181,7 +181,7 @@ class Trees(PathFinder):
         The others are skipped if the motion is close to the fastest.
         """
         one, grown = problem.with_goals(number), 1
-        first = tree_paths(one, grown, pairs=self.pairs)
+        first = [with_time_if_long(one, path) for path in tree_paths(one, grown, pairs=self.pairs)]
         if first and problem.effort.pairs > grown and is_long_way(one, first[0]):
             grown = 2
             first = tree_paths(one, grown, known=first, grown=1, pairs=self.pairs)
@@ -376,6 +376,12 @@ def time_along_path(problem: Problem, path: Path) -> float:
     if path.least_s is not None:
         return path.least_s
     return path_time(shorten_path(problem, path), problem.robot.velocity_limit)
+
+
+def with_time_if_long(problem: Problem, path: Path) -> Path:
+    """A path of trees with its duration after shortcuts, so that it is computed once, if it is long before them."""
+    is_long = path_time(path.waypoints, problem.robot.velocity_limit) > LONG_WAY * problem.least_duration
+    return path._replace(least_s=time_along_path(problem, path)) if is_long else path
 
 
 def is_long_way(problem: Problem, path: Path) -> bool:

@@ -212,8 +212,8 @@ def plans_to_grasps(
                 if error.which == "start":
                     raise
                 failures[number] = mark_approach(error.with_traceback(None))
-        approaches = {number: Approach(problem, target, batch[number - len(ordered)]) for number in problems}
         ordered += batch
+        approaches = {number: Approach(problem, target, ordered[number]) for number in problems}
         if not is_likely and problems:
             proofs = prove_each_goal(merge_problems(list(problems.values())))
             failures |= {number: error for number, error in zip(problems, proofs, strict=True) if error is not None}

@@ -3,8 +3,9 @@ r"""Point clouds in coal: lazily built bounding-volume trees over blocks of poin
 coal takes 2 us per point to build a tree, but a motion comes near few blocks only: leaves of the cloud's own tree,
 whose nodes have bounding balls. A shape of the arm lies in a box grown by a radius, a capsule in its axis grown by a
 radius. The distance from the box to a ball, or to the nearest of its points, minus the radius is a lower bound of the
-distance between the shape and the points. A block is skipped if a bound is at least the minimum found before it, so the
-minimum over all points is exact.
+distance between the shape and the points. Another one is the distance along the direction of the nearest points found
+so far, in which the shape's corners are ahead of a plane. A block is skipped if a bound is at least the minimum found
+before it, so the minimum over all points is exact.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from hplan.base.kernels import inline, kernel
 from hplan.collision.coal_shapes import beyond_geometry, capsule_shapes, solid_shape, triangle_tree
 from hplan.geometry.cloud import LEAF, Cloud
 from hplan.geometry.cloud_tree import tree_of
+from hplan.geometry.hull import CUBE_CORNERS
+from hplan.geometry.planes import NO_PLANE, Plane, is_behind
 from hplan.geometry.shape_outline import coal_distance
 from hplan.geometry.vectors import Vector
 from hplan.scene.obstacles import Capsule, Solid
@@ -49,6 +52,7 @@ class BareShape(NamedTuple):
     Attributes:
         core: (2, 3) centre and half sizes of a box in the shape's frame that contains the shape when grown by
             `rounding` [m].
+        corners: (n, 3) points whose hull contains the shape when grown by `rounding` [m].
         rounding: Radius of a ball or capsule, 0 for other shapes [m].
         radius: The swept radius that was removed [m].
         thin: For a capsule, one with almost no radius: for a shape in contact coal returns the depth of some point, not
@@ -57,6 +61,7 @@ class BareShape(NamedTuple):
 
     geometry: coal.CollisionGeometry
     core: FloatArray
+    corners: FloatArray
     rounding: float
     radius: float
     thin: BareShape | None = None
@@ -113,16 +118,18 @@ class PointBlocks:
         """
         place = placement.rotation, placement.translation
         coal_place, result = coal.Transform3s(*place), coal.DistanceResult()
-        least, bound, block = math.inf, -math.inf, -1
+        least, bound, block, plane = math.inf, -math.inf, -1, NO_PLANE
         while True:
             limit = min(least, most + shape.radius) + shape.rounding
-            bound, block = nearest_block(place, shape.core, (self._nodes, self.points), (bound, block), limit)
+            bound, block = nearest_block(place, shape.core, (self._nodes, self.points), (bound, block), plane, limit)
             if block < 0 or least <= 0.0:
                 if least <= 0.0 and shape.thin is not None:
                     return self.distance(shape.thin, placement)
                 return least - shape.radius
             # coal continues from the minimum distance in its result and skips everything farther.
-            least = min(least, coal.distance(shape.geometry, coal_place, self._tree(block), _PLACE, _REQUEST, result))
+            found = coal.distance(shape.geometry, coal_place, self._tree(block), _PLACE, _REQUEST, result)
+            if found < least:
+                least, plane = found, _plane_behind(shape.corners, placement, result.normal)
 
     def _tree(self, block: int) -> coal.BVHModelOBBRSS:
         """Return the tree of a block's points as tiny triangles, built once."""
@@ -135,16 +142,28 @@ class PointBlocks:
         return tree
 
 
-def _core_box(shape: coal.CollisionGeometry) -> tuple[FloatArray, float]:
-    """Box and radius that together contain a shape [m].
+def _core_box(shape: coal.CollisionGeometry) -> tuple[FloatArray, FloatArray, float]:
+    """Box or hull that, grown by a radius, contains a shape [m].
 
-    (2, 3) centre and half sizes of the box in the shape's own frame, and the radius that grows it.
+    (2, 3) centre and half sizes of the box in the shape's own frame, (n, 3) corners of the hull, and the radius.
     """
     shape.computeLocalAABB()
     low, high = np.array(shape.aabb_local.min_), np.array(shape.aabb_local.max_)
     rounding = float(shape.radius) if isinstance(shape, coal.Sphere | coal.Capsule) else 0.0
     half = np.maximum(0.5 * (high - low) * (1.0 + 1e-12) - rounding, 0.0)
-    return np.stack([0.5 * (low + high), half]), rounding
+    box = np.stack([0.5 * (low + high), half])
+    corners = np.array(shape.points()) if isinstance(shape, coal.ConvexBase) else box[0] + CUBE_CORNERS * half
+    return box, corners, rounding
+
+
+def _plane_behind(corners: FloatArray, placement: pin.SE3, towards: FloatArray) -> Plane:
+    """Plane that a placed hull is ahead of, and touches; the direction (3,) points at what is behind."""
+    length = float(np.linalg.norm(towards))
+    if not length > 0.0:
+        return NO_PLANE
+    x, y, z = (towards / -length).tolist()
+    height = float((corners @ (placement.rotation.T @ (x, y, z))).min()) + float(placement.translation @ (x, y, z))
+    return (x, y, z), height
 
 
 def obstacle_shape(obstacle: Solid) -> pin.GeometryObject | PointBlocks:
@@ -181,6 +200,7 @@ def nearest_block(
     core: FloatArray,
     cloud: tuple[FloatArray, FloatArray],
     after: tuple[float, int],
+    plane: Plane,
     limit: float,
 ) -> tuple[float, int]:
     """Find the leaf that may be nearest to a placed box.
@@ -190,7 +210,8 @@ def nearest_block(
         core: (2, 3) centre and half sizes of the box in that frame.
         cloud: (k, 7) the tree, as in `hplan.geometry.cloud.Cloud`, and its (n, 3) points.
         after: Result of the previous call; leaves up to it in the order of bound and index are skipped.
-        limit: Leaves whose ball, or points, are at least this far from the box are skipped [m].
+        plane: Plane that the box's content is ahead of.
+        limit: Leaves whose ball, or points, are at least this far from the box, or behind the plane, are skipped [m].
 
     Returns:
         The distance from the box to the ball that contains the leaf's points, negative if the box overlaps the ball,
@@ -198,13 +219,14 @@ def nearest_block(
     """
     (rotation, translation), (nodes, points) = place, cloud
     while True:
-        bound, leaf = _next_leaf(place, core, nodes, after, limit)
+        bound, leaf = _next_leaf(place, core, nodes, after, plane, limit)
         if leaf < 0:
             return bound, leaf
         least = math.inf
         for p in range(int(nodes[leaf, 0]), int(nodes[leaf, 1])):
             point = points[p, 0], points[p, 1], points[p, 2]
-            least = min(least, _square_from_box(rotation, translation, core, point))
+            if not is_behind(plane, point, limit + 2.0 * _SPECK):
+                least = min(least, _square_from_box(rotation, translation, core, point))
         if math.sqrt(least) * (1.0 - 1e-12) - 2.0 * _SPECK < limit:
             return bound, leaf
         after = bound, leaf
@@ -212,11 +234,12 @@ def nearest_block(
 
 @kernel
 def _next_leaf(
-    place: tuple[FloatArray, FloatArray], core: FloatArray, nodes: FloatArray, after: tuple[float, int], limit: float
-) -> tuple[float, int]:
+    place: tuple[FloatArray, FloatArray], core: FloatArray, nodes: FloatArray, after: tuple[float, int], plane: Plane,
+    limit: float,
+) -> tuple[float, int]:  # fmt: skip
     """Find the leaf whose ball is nearest to a placed box; arguments and result as of `nearest_block`."""
     (rotation, translation), least, found, number = place, limit, -1, 0
-    if after[1] < 0 and nodes.shape[0] > 0:
+    if after[1] < 0 and plane[1] == -math.inf and nodes.shape[0] > 0:
         # A leaf that is rather near, so that most balls need not be opened.
         bound = _descent_bound(rotation, translation, core, nodes)
         least = min(least, bound + 1e-12 * (1.0 + abs(bound)))
@@ -225,7 +248,11 @@ def _next_leaf(
     while number < nodes.shape[0]:
         while height > 0 and number >= above[height - 1, 0]:
             height -= 1
-        bound = _ball_bound(rotation, translation, core, nodes[number])
+        node = nodes[number]
+        if is_behind(plane, (node[3], node[4], node[5]), node[6] + limit + 2.0 * _SPECK):
+            number = int(node[2])
+            continue
+        bound = _ball_bound(rotation, translation, core, node)
         if height > 0:
             bound = max(bound, above[height - 1, 1])
         is_leaf = nodes[number, 2] == number + 1

@@ -340,9 +340,12 @@ class CoalScene:
         """(pairs,) permitted depth of the pairs that are too near at a start; -inf for others; None without any."""
         if leaving is None:
             return None
-        distances = self.pair_distances(np.array(leaving.q))
-        is_near = (distances < self.clearance + LEAVE_TOLERANCE) & (distances >= -leaving.depth)
-        is_near[self._beyond.size :] = False
+        q, near_m, distances = np.array(leaving.q), self.clearance + LEAVE_TOLERANCE, np.full(len(self.pairs), np.inf)
+        pairs = self.meeting_pairs[self.meeting_pairs < self._beyond.size]
+        pairs = pairs[self.lower_bounds(q, pairs) < near_m]
+        self.place(q)
+        distances[pairs] = self.distances_of(pairs)
+        is_near = (distances < near_m) & (distances >= -leaving.depth)
         # Zero would mean the full clearance.
         depths = LEAVE_TOLERANCE - distances
         depths[depths == 0.0] = LEAVE_TOLERANCE

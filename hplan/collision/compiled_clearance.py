@@ -29,11 +29,21 @@ from hplan.collision import compiled_bodies as flat
 from hplan.collision import compiled_obstacles as row
 from hplan.collision.compiled_obstacles import FieldArrays
 from hplan.collision.compiled_placements import PLACED, place_bodies
-from hplan.geometry.convex_distance import NEAREST, ON_FIRST, WORK, Span, Wanted, core_distance
+from hplan.geometry.convex_distance import (
+    NEAREST,
+    ON_FIRST,
+    SEPARATING,
+    WORK,
+    Span,
+    Wanted,
+    core_distance,
+    farthest_corner,
+)
 from hplan.geometry.penetration import penetration
+from hplan.geometry.planes import NO_PLANE, Plane, is_behind
 from hplan.geometry.segment_distance import off_box, off_segment, point_segment
 from hplan.geometry.sweep import STILL
-from hplan.geometry.vectors import Pose, Vector, cross, dot, sub, turned_back, vector_of
+from hplan.geometry.vectors import Pose, Vector, cross, dot, placed_point, sub, turned_back, vector_of
 
 _FIRST_ROW = any_int(0)
 
@@ -47,8 +57,14 @@ Shown: TypeAlias = tuple[float, float, float, float, float]
 #: The lower bound counts as the distance if its square is at least this multiple of the vector's squared length.
 _SURELY = 1.0 - EXACT
 
+#: Relative tolerance of distances from a leaf as a whole.
+_ROUGH = 1e-2
+
 #: Table index of a hull without a corner table: a single point has no table.
 NO_TABLE = any_int(0)
+
+#: Index of no row.
+NO_ROW = any_int(-1)
 
 
 class BodyArrays(NamedTuple):
@@ -226,7 +242,7 @@ def _body_clearance(arm: BodyArrays, b: int, enough: float) -> float:
     centre, ball, thickness, joint, least = placed[b].centre, body.ball_radius, body.axis_radius, body.joint, enough
     x, y, z = centre[0], centre[1], centre[2]
     thin = is_thin(bodies, b)
-    following = _FIRST_ROW
+    following, within_tree, visited, plane = _FIRST_ROW, _FIRST_ROW, NO_ROW, NO_PLANE
     while following < len(solids):
         s = following
         solid = solids[s]
@@ -244,10 +260,24 @@ def _body_clearance(arm: BodyArrays, b: int, enough: float) -> float:
                 following = solid.next
         elif kind == row.NODE or kind == row.LEAF:
             start, along = segment_of(placed, b)
-            if point_segment(vector_of(solid.centre), start, along) > least + thickness + solid.bound:
+            middle = vector_of(solid.centre)
+            if (
+                is_behind(plane, middle, least + solid.bound)
+                or point_segment(middle, start, along) > least + thickness + solid.bound
+            ):
                 following = solid.next
-            elif kind == row.LEAF:
-                least = _leaf_clearance(arm, b, s, least)
+                continue
+            if (kind == row.NODE and s < within_tree) or s == visited:
+                continue
+            leaf = s
+            if kind == row.NODE:
+                # The nearest leaf first: most of the tree is farther.
+                within_tree, visited = solid.next, nearest_leaf(placed, b, solids, s)
+                leaf = visited
+            if leaf != NO_ROW:
+                least = _leaf_clearance(arm, b, leaf, least)
+                if not thin:
+                    plane = plane_behind(arm, b)
         else:
             away = (-dx, -dy, -dz)
             if kind != row.HULL:
@@ -305,11 +335,53 @@ def _row_clearance(arm: BodyArrays, place: tuple[int, int], away: Vector, least:
 
 
 @kernel
+def plane_behind(arm: BodyArrays, b: int) -> Plane:
+    """Plane that touches a body from behind; its normal is the last query's direction of the largest separation."""
+    work, pose = arm.work, pose_of(arm.frames, arm.bodies[b].joint)
+    x, y, z = work[SEPARATING], work[SEPARATING + 1], work[SEPARATING + 2]
+    length = math.sqrt(x * x + y * y + z * z)
+    if not length > 0.0:
+        return NO_PLANE
+    x, y, z = x / length, y / length, z / length
+    corner = farthest_corner(arm.points, span_of(arm.bodies, b), turned_back(pose, (-x, -y, -z)))
+    return (x, y, z), dot((x, y, z), placed_point(pose, arm.points, corner)) - arm.bodies[b].rounding
+
+
+@kernel
+def nearest_leaf(placed: TableArray, b: int, solids: TableArray, node: int) -> int:
+    """Leaf of a cloud's tree below a node that is about the nearest to a body's axis; `NO_ROW` if there is none."""
+    start, along = segment_of(placed, b)
+    found = node
+    while solids[found].kind == row.NODE:
+        child, end, nearest, least = found + 1, solids[found].next, NO_ROW, math.inf
+        while child < end:
+            solid = solids[child]
+            if solid.kind < row.NODE:
+                return NO_ROW
+            apart = point_segment(vector_of(solid.centre), start, along) - solid.bound
+            if apart < least:
+                least, nearest = apart, child
+            child = solid.next
+        if nearest == NO_ROW:
+            return NO_ROW
+        found = nearest
+    return found
+
+
+@kernel
 def _leaf_clearance(arm: BodyArrays, k: int, s: int, least: float) -> float:
     """Clearance of a body from a leaf's balls, clamped to `least` [m]."""
     solid, data, placed, work = arm.solids[s], arm.data, arm.placed, arm.work
     radius, thickness = solid.radius, arm.bodies[k].axis_radius
     start, along = segment_of(placed, k)
+    if not is_thin(arm.bodies, k):
+        radii, pose = radius + arm.bodies[k].rounding, pose_of(arm.frames, arm.bodies[k].joint)
+        wanted = Wanted(least + radii, least + radii, _ROUGH, radii, STILL)
+        for c in range(3):
+            work[NEAREST + c] = placed[k].centre[c] - solid.centre[c]
+        lot = solid.first, solid.last, NO_TABLE
+        if core_distance(arm.points, span_of(arm.bodies, k), pose, data, lot, wanted, work) - radii >= least:
+            return least
     for p in range(solid.first, solid.last, 3):
         apart = point_segment((data[p], data[p + 1], data[p + 2]), start, along)
         if apart < least + thickness + radius:

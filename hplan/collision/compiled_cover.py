@@ -31,13 +31,16 @@ from hplan.base.arrays import FloatArray, TableArray
 from hplan.base.kernels import any_int, inline, kernel
 from hplan.collision import compiled_obstacles as row
 from hplan.collision.compiled_clearance import (
+    NO_ROW,
     NO_TABLE,
     BodyArrays,
     difference,
     is_box_beyond,
     is_thin,
+    nearest_leaf,
     off_body,
     off_row,
+    plane_behind,
     pose_of,
     segment_of,
     span_of,
@@ -48,6 +51,7 @@ from hplan.collision.compiled_obstacles import FieldArrays
 from hplan.collision.compiled_placements import PLACED, place_bodies
 from hplan.collision.compiled_twists import MOVING, TWIST, find_twists
 from hplan.geometry.convex_distance import NEAREST, SEPARATING, WORK, Span, Wanted, core_distance
+from hplan.geometry.planes import NO_PLANE, is_behind
 from hplan.geometry.segment_distance import point_segment
 from hplan.geometry.sweep import Sweep, used_up
 from hplan.geometry.vectors import Vector, cross, dot, sub, turned_back, vector_of
@@ -254,7 +258,7 @@ def _of_body(moving: Moving, b: int, first: int, part: Part) -> Part:
     speed = math.sqrt(dot(velocity, velocity)) + core * math.sqrt(dot(spin, spin))
     motion = _Motion(velocity, spin, core, speed, moving.bends[b, 0], moving.bends[b, 1], moving.margin)
     enough = _sufficient_distance(motion, part)
-    following = first
+    following, within_tree, visited, plane = first, first, NO_ROW, NO_PLANE
     while following < len(solids):
         s = following
         solid = solids[s]
@@ -286,10 +290,23 @@ def _of_body(moving: Moving, b: int, first: int, part: Part) -> Part:
         elif kind == row.JOINT_RANGE:
             if not solid.first <= joint <= solid.last:
                 following = solid.next
-        elif _is_apart(motion, part, _off_axis(placed, b, middle), solid.bound + thickness):
+        elif is_behind(plane, middle, solid.bound) or _is_apart(
+            motion, part, _off_axis(placed, b, middle), solid.bound + thickness
+        ):
             following = solid.next
-        elif kind == row.LEAF:
-            part = _of_lot(moving, (b, s), motion, part)
+        elif kind == row.LEAF or s >= within_tree:
+            leaf = s
+            if kind == row.NODE:
+                # The nearest leaf first: it shortens the segment most, so that most of the tree is far from the rest.
+                within_tree, visited = solid.next, nearest_leaf(placed, b, solids, s)
+                leaf = visited
+            elif s == visited:
+                continue
+            if leaf != NO_ROW:
+                part = _of_lot(moving, (b, leaf), motion, part)
+                if not thin:
+                    plane = plane_behind(arm, b)
+                    plane = plane[0], plane[1] - used_up(_sweep(motion, part), plane[0], 1.0)
         if part.forward < 0.0:
             break
         if part.forward < before.forward or part.back < before.back:
@@ -320,19 +337,26 @@ def _is_apart(motion: _Motion, part: Part, away: Vector, radii: float) -> bool:
 
 
 @kernel
-def _of_hull(moving: Moving, k: int, other: tuple[FloatArray, Span, float], motion: _Motion, part: Part) -> Part:
-    """Part of a segment verified by the clearance from a rounded hull."""
+def _separation(moving: Moving, k: int, other: tuple[FloatArray, Span, float], motion: _Motion, part: Part) -> float:
+    """Distance of a body from a rounded hull along the direction in the buffer; infinite if it lasts for a segment."""
     arm = moving.arm
     corners, other_span, radius = other
-    bodies, work = arm.bodies, arm.work
-    radii = radius + bodies[k].rounding
+    radii = radius + arm.bodies[k].rounding
     wanted = Wanted(math.inf, motion.margin + radii, _ROUGH, radii, _sweep(motion, part))
-    pose = pose_of(arm.frames, bodies[k].joint)
-    distance = core_distance(arm.points, span_of(bodies, k), pose, corners, other_span, wanted, work)
+    pose = pose_of(arm.frames, arm.bodies[k].joint)
+    distance = core_distance(arm.points, span_of(arm.bodies, k), pose, corners, other_span, wanted, arm.work)
+    beyond: float = distance - radii
+    return beyond
+
+
+@kernel
+def _of_hull(moving: Moving, k: int, other: tuple[FloatArray, Span, float], motion: _Motion, part: Part) -> Part:
+    """Part of a segment verified by the clearance from a rounded hull."""
+    work, distance = moving.arm.work, _separation(moving, k, other, motion, part)
     if distance == math.inf:
         return part
     direction = (work[SEPARATING], work[SEPARATING + 1], work[SEPARATING + 2])
-    return _verified_segment(motion, direction, distance - radii, part)
+    return _verified_segment(motion, direction, distance, part)
 
 
 @kernel
@@ -361,6 +385,11 @@ def _of_lot(moving: Moving, place: tuple[int, int], motion: _Motion, part: Part)
     solid, bodies, data, placed, work = arm.solids[s], arm.bodies, arm.data, arm.placed, arm.work
     radius = solid.radius
     radii, thin = radius + bodies[k].axis_radius, is_thin(bodies, k)
+    if not thin:
+        work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = _off_axis(placed, k, vector_of(solid.centre))
+        lot = data, (solid.first, solid.last, NO_TABLE), radius
+        if _separation(moving, k, lot, motion, part) == math.inf:
+            return part
     for p in range(solid.first, solid.last, 3):
         off = _off_axis(placed, k, (data[p], data[p + 1], data[p + 2]))
         if not _is_apart(motion, part, off, radii):

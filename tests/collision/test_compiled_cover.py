@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from hplan.base.arrays import FloatArray
 from hplan.collision.collision_bodies import collision_bodies
+from hplan.collision.compiled_clearance import body_clearances
 from hplan.collision.compiled_cover import moving_arm, part_shown_clear
 from hplan.collision.compiled_field import ClearanceField
 from hplan.collision.compiled_placements import place_joints
@@ -20,7 +21,7 @@ from hplan.collision.self_pairs import self_pairs
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.sweep import Sweep, used_up
 from hplan.robot.model import Robot, load_robot
-from hplan.scene.obstacles import Box, Solid
+from hplan.scene.obstacles import Box, Solid, Sphere
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -151,6 +152,51 @@ def test_parts_shown_clear_are_clear(arm: Robot, field: ClearanceField, seed: in
     least = float(lasting[moving].min(initial=np.inf))
     for shown, asked in ((part.back, back), (part.forward, forward)):
         assert shown >= min(asked, 0.97 * least, 0.97 * FAR / max(bounds.max(), 1e-9))
+
+
+@pytest.fixture(scope="module")
+def shells(arm: Robot) -> tuple[ClearanceField, ClearanceField]:
+    """Dense shells of balls around the arm, as clouds and as single balls."""
+    generator = np.random.default_rng(4)
+    solids: list[list[Solid]] = [[], []]
+    for number in range(8):
+        rays = generator.normal(size=(700, 3))
+        rays *= generator.uniform(0.2, 0.4, 3) / np.linalg.norm(rays, axis=1)[:, None]
+        points = rays + generator.uniform([-0.8, -0.8, 0.0], [0.8, 0.8, 1.2])
+        solids[0].append(Cloud.from_points(f"shell {number}", points, 0.004))
+        solids[1] += [
+            Sphere(name=f"{number} {k}", center=tuple(p), radius=0.004) for k, p in enumerate(points.tolist())
+        ]
+    return ClearanceField.build(arm, solids[0]), ClearanceField.build(arm, solids[1])
+
+
+@given(SEEDS)
+@settings(max_examples=150)
+def test_clouds_are_their_balls(arm: Robot, shells: tuple[ClearanceField, ClearanceField], seed: int) -> None:
+    clouds, balls = shells
+    generator = np.random.default_rng(seed)
+    q, rates = generator.uniform(arm.lower, arm.upper), generator.uniform(-2.0, 2.0, arm.dof)
+    enough = generator.choice([0.03, 0.5])
+    found, expected = np.empty(clouds.count), np.empty(clouds.count)
+    body_clearances(q, clouds.arrays, enough, found)
+    body_clearances(q, balls.arrays, enough, expected)
+    # The depth is that of one ball, which depends on the order.
+    assert np.maximum(found, -0.004) == pytest.approx(np.maximum(expected, -0.004), abs=1e-9)
+    margin = generator.choice([MARGIN, 0.02])
+    free = (generator.uniform(arm.lower, arm.upper) for _ in range(300))
+    q = next((q for q in free if balls.spare_clearance(q) > margin), q)
+    bends = np.empty((clouds.count, 2))
+    motion_bends(np.abs(rates), np.zeros(arm.dof), clouds.arrays, bends)
+    parts = [
+        part_shown_clear(q, rates, moving_arm(one.arrays, arm.dof, bends, margin), 0.0, 0.6) for one in (clouds, balls)
+    ]
+    if parts[0].forward < 0.0 or parts[1].forward < 0.0:
+        assert expected.min() < 1.03 * margin
+        return
+    along = balls.clearance_along(q + np.linspace(-parts[0].back, parts[0].forward, 41)[:, None] * rates)
+    assert along.min() > 0.5 * margin - 1e-9
+    for cloud, ball in zip(*parts, strict=True):
+        assert cloud >= 0.5 * ball
 
 
 def test_body_turned_to_wall_touches_it() -> None:

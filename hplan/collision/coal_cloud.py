@@ -39,6 +39,8 @@ _SPECK_CORNERS: Final = _SPECK * np.array([[1.0, 0.0, 0.5], [-0.5, 0.75, -0.25],
 #: Radius of a capsule that represents its axis [m].
 _THIN: Final = 1e-6
 
+_NOWHERE: Final = np.zeros(3)
+
 #: The blocks of the clouds in use.
 _BLOCKS_OF_CLOUDS: WeakKeyDictionary[Cloud, PointBlocks] = WeakKeyDictionary()
 
@@ -118,10 +120,12 @@ class PointBlocks:
         """
         place = placement.rotation, placement.translation
         coal_place, result = coal.Transform3s(*place), coal.DistanceResult()
-        least, bound, block, plane = math.inf, -math.inf, -1, NO_PLANE
+        least, bound, block, towards = math.inf, -math.inf, -1, _NOWHERE
         while True:
             limit = min(least, most + shape.radius) + shape.rounding
-            bound, block = nearest_block(place, shape.core, (self._nodes, self.points), (bound, block), plane, limit)
+            bound, block = nearest_block(
+                place, (shape.core, shape.corners), (self._nodes, self.points), (bound, block), towards, limit
+            )
             if block < 0 or least <= 0.0:
                 if least <= 0.0 and shape.thin is not None:
                     return self.distance(shape.thin, placement)
@@ -129,7 +133,7 @@ class PointBlocks:
             # coal continues from the minimum distance in its result and skips everything farther.
             found = coal.distance(shape.geometry, coal_place, self._tree(block), _PLACE, _REQUEST, result)
             if found < least:
-                least, plane = found, _plane_behind(shape.corners, placement, result.normal)
+                least, towards = found, result.normal
 
     def _tree(self, block: int) -> coal.BVHModelOBBRSS:
         """Return the tree of a block's points as tiny triangles, built once."""
@@ -154,16 +158,6 @@ def _core_box(shape: coal.CollisionGeometry) -> tuple[FloatArray, FloatArray, fl
     box = np.stack([0.5 * (low + high), half])
     corners = np.array(shape.points()) if isinstance(shape, coal.ConvexBase) else box[0] + CUBE_CORNERS * half
     return box, corners, rounding
-
-
-def _plane_behind(corners: FloatArray, placement: pin.SE3, towards: FloatArray) -> Plane:
-    """Plane that a placed hull is ahead of, and touches; the direction (3,) points at what is behind."""
-    length = float(np.linalg.norm(towards))
-    if not length > 0.0:
-        return NO_PLANE
-    x, y, z = (towards / -length).tolist()
-    height = float((corners @ (placement.rotation.T @ (x, y, z))).min()) + float(placement.translation @ (x, y, z))
-    return (x, y, z), height
 
 
 def obstacle_shape(obstacle: Solid) -> pin.GeometryObject | PointBlocks:
@@ -197,27 +191,29 @@ def distance_from(obstacle: Solid, most: float = math.inf) -> Callable[[coal.Col
 @kernel
 def nearest_block(
     place: tuple[FloatArray, FloatArray],
-    core: FloatArray,
+    body: tuple[FloatArray, FloatArray],
     cloud: tuple[FloatArray, FloatArray],
     after: tuple[float, int],
-    plane: Plane,
+    towards: FloatArray,
     limit: float,
 ) -> tuple[float, int]:
     """Find the leaf that may be nearest to a placed box.
 
     Args:
         place: (3, 3) rotation and (3,) translation of the box's frame.
-        core: (2, 3) centre and half sizes of the box in that frame.
+        body: (2, 3) centre and half sizes of the box in that frame, and (n, 3) corners of the hull that matters of it.
         cloud: (k, 7) the tree, as in `hplan.geometry.cloud.Cloud`, and its (n, 3) points.
         after: Result of the previous call; leaves up to it in the order of bound and index are skipped.
-        plane: Plane that the box's content is ahead of.
-        limit: Leaves whose ball, or points, are at least this far from the box, or behind the plane, are skipped [m].
+        towards: (3,) direction from the hull to what is probably the nearest of the cloud; zeros if it is unknown.
+        limit: Leaves whose ball, or points, are at least this far from the box, or from the hull in that direction, are
+            skipped [m].
 
     Returns:
         The distance from the box to the ball that contains the leaf's points, negative if the box overlaps the ball,
         and the leaf's index; -1 if no leaf is left.
     """
-    (rotation, translation), (nodes, points) = place, cloud
+    (rotation, translation), (core, corners), (nodes, points) = place, body, cloud
+    plane = _plane_behind(rotation, translation, corners, towards)
     while True:
         bound, leaf = _next_leaf(place, core, nodes, after, plane, limit)
         if leaf < 0:
@@ -230,6 +226,22 @@ def nearest_block(
         if math.sqrt(least) * (1.0 - 1e-12) - 2.0 * _SPECK < limit:
             return bound, leaf
         after = bound, leaf
+
+
+@kernel
+def _plane_behind(rotation: FloatArray, translation: FloatArray, corners: FloatArray, towards: FloatArray) -> Plane:
+    """Plane that a placed hull is ahead of, and touches; its normal is opposite to a direction."""
+    x, y, z = -towards[0], -towards[1], -towards[2]
+    length, height = math.sqrt(x * x + y * y + z * z), math.inf
+    if not length > 0.0:
+        return NO_PLANE
+    n = (x / length, y / length, z / length)
+    a = rotation[0, 0] * n[0] + rotation[1, 0] * n[1] + rotation[2, 0] * n[2]
+    b = rotation[0, 1] * n[0] + rotation[1, 1] * n[1] + rotation[2, 1] * n[2]
+    c = rotation[0, 2] * n[0] + rotation[1, 2] * n[1] + rotation[2, 2] * n[2]
+    for k in range(corners.shape[0]):
+        height = min(height, a * corners[k, 0] + b * corners[k, 1] + c * corners[k, 2])
+    return n, height + n[0] * translation[0] + n[1] * translation[1] + n[2] * translation[2]
 
 
 @kernel

@@ -26,7 +26,6 @@ from hplan.collision.coal_shapes import solid_shape
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.coal_hull import convex_hull_shape
 from hplan.geometry.hull import CUBE_CORNERS, hull_of
-from hplan.geometry.planes import NO_PLANE
 from hplan.geometry.shape_outline import coal_distance
 from hplan.planar.family_reader import family_of
 from hplan.robot.family import HARVESTER, write_robot
@@ -314,8 +313,8 @@ def test_blocks_come_nearest_first_and_bound_distances_from_below(seed, kind):
     cloud, place = Cloud.from_points("cloud", rng.uniform(-1.0, 1.0, (1000, 3)), 0.02), placed(rng)
     shape = BareShape.strip(SHAPES[kind])
     farthest, after, found = rng.choice([0.5, np.inf]), (-np.inf, -1), {}
-    poses = place.rotation, place.translation
-    while (after := nearest_block(poses, shape.core, (cloud.tree, cloud.core), after, NO_PLANE, farthest))[1] >= 0:
+    poses, body = (place.rotation, place.translation), (shape.core, shape.corners)
+    while (after := nearest_block(poses, body, (cloud.tree, cloud.core), after, np.zeros(3), farthest))[1] >= 0:
         assert after[1] not in found
         found[after[1]] = after[0]
     assert list(found.values()) == sorted(found.values())

@@ -156,7 +156,7 @@ class ControlLoop:
             ways = [np.linspace(home, grasp.goal, 15) for grasp in grasps if grasp is not None]
             near = find_near(robot, there, np.vstack([home, *ways]))  # other limbs are rigid, which saves time
         self.machine = SimulatedArm(robot, there, plant, trees=trees, bending=near)
-        self.machine.place(home)
+        self.machine.settle(home)
         self.cameras = {
             f"{name} {across}": Camera((-0.4, side, up), (1.3, 0.0, at))
             for name, up, at in (("above", 2.4, 1.0), ("below", 0.5, 1.5))

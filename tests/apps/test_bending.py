@@ -14,8 +14,8 @@ from planned import fruit, straight, task
 from script_loader import load_script
 
 from hplan.apps.execution.bending_wood import BendingTrees, WoodBodies
-from hplan.apps.execution.simulated_arm import import_mujoco
-from hplan.apps.execution.simulation import Execution, execute
+from hplan.apps.execution.simulated_arm import CONTROL_PERIOD, Plant, SimulatedArm, import_mujoco
+from hplan.apps.execution.simulation import Execution, execute, find_near
 from hplan.apps.execution.tree_response import TreeMonitor
 from hplan.apps.execution.wind import Wind
 from hplan.apps.view.body_motions import limb_clips
@@ -25,6 +25,7 @@ from hplan.base.arrays import FloatArray
 from hplan.errors import SceneError
 from hplan.robot.model import Robot
 from hplan.scene import save_scene, with_limbs
+from hplan.scene.fruit import Fruit
 from hplan.scene.limbs import Limbs
 from hplan.scene.obstacles import Capsule
 from hplan.scene.orchard import OrchardOptions, generate
@@ -302,3 +303,98 @@ def test_options_of_trees_need_bending(tmp_path: Path, capsys: pytest.CaptureFix
     path.write_text("time_s,a_pos_rad\n0,0\n")
     assert load_script("execute").main([str(path), "--friction", "0.3"]) == 2
     assert "--friction" in capsys.readouterr().err
+
+
+#: A breeze across the shoot.
+BREEZE = Wind(speed_m_s=2.0, intensity=0.0, heading_deg=90.0, leaf_width_m=0.02)
+
+
+def in_breeze(robot: Robot, *fruits: Fruit) -> SimulatedArm:
+    scene = task(START, GOAL, [TRUNK, SHOOT], fruits=fruits, wood=Wood())
+    return SimulatedArm(robot, scene, Plant(bandwidth=200.0, decoupled=True), trees=BendingTrees(wind=BREEZE))
+
+
+def sideways(arm: SimulatedArm) -> float:
+    """Displacement of the end of the shoot along the wind."""
+    last = max(geom for geom, name in arm._obstacle_of.items() if name == "shoot")
+    return float(arm._data.geom_xpos[last, 1])
+
+
+def hold(arm: SimulatedArm, q: FloatArray, seconds: float) -> None:
+    for _ in range(round(seconds / CONTROL_PERIOD)):
+        arm.follow(q, np.zeros_like(q), np.zeros_like(q))
+
+
+def test_limbs_sway_when_the_motion_begins(robot: Robot) -> None:
+    arm, q = in_breeze(robot, fruit("apple", 0.0, 1.4, 1.25)), np.radians(START)
+    arm.settle(q)
+    assert arm.time_s == 0.0
+    np.testing.assert_array_equal(arm.position, q)
+    bent = sideways(arm)
+    assert bent > 0.001
+    hold(arm, q, 0.5)
+    assert sideways(arm) == pytest.approx(bent, rel=0.1)  # no jump
+
+
+def test_limbs_move_only_while_the_arm_is_near(robot: Robot) -> None:
+    arm, q = in_breeze(robot), np.radians(START)
+    assert arm.trees is not None
+    arm.trees._lead_s[:] = 0.3
+    arm.trees.move_only({"shoot": [(1.0, 1.2)]})
+    arm.settle(q)
+    hold(arm, q, 0.6)
+    assert sideways(arm) == 0.0
+    assert arm._data.ntree_awake == 1
+    hold(arm, q, 1.0)
+    assert sideways(arm) > 0.001
+    hold(arm, q, 1.0)
+    assert sideways(arm) == 0.0
+    assert arm._data.ntree_awake == 1
+    assert not arm.trees.touched_still
+
+
+def test_soft_limbs_move_all_the_time(robot: Robot) -> None:
+    soft = Capsule(name="soft", start=(2.1, 0.0, 1.3), end=(1.3, 0.0, 1.3), radius=0.002, parent="trunk")
+    for shoot, settle_s in ((SHOOT, 0.0), (soft, 10.0)):
+        scene = task(START, GOAL, [TRUNK, shoot], wood=Wood())
+        arm = SimulatedArm(robot, scene, trees=BendingTrees(wind=BREEZE, youngs_modulus_gpa=0.1))
+        assert arm.trees is not None
+        arm.trees.move_only({shoot.name: [(30.0, 31.0)]})
+        assert arm.trees.settle_s == settle_s
+
+
+def test_touch_of_a_limb_held_still_is_counted(robot: Robot) -> None:
+    arm = in_breeze(robot)
+    assert arm.trees is not None
+    arm.trees.move_only({})
+    clock = CONTROL_PERIOD * np.arange(2001)[:, None] / 2.0
+    ways = np.radians(START) + clock * (np.radians(GOAL) - np.radians(START))
+    arm.settle(ways[0])
+    for q in ways:
+        arm.follow(q, np.gradient(ways, CONTROL_PERIOD, axis=0)[1], np.zeros_like(q))
+    assert "shoot" in arm.trees.touched_still
+    assert max(one.force_n for one in arm.trees.response({}).contacts) > 0.0  # it bends
+
+
+def test_stalks_at_rest_do_not_depend_on_the_arm_before_it_is_placed(robot: Robot) -> None:
+    tip = robot.tool_positions(np.zeros(robot.dof))
+    x, apple = float(tip[0]), fruit("apple", 0.0, float(tip[0]), float(tip[2]))
+    trunk = Capsule(name="trunk", start=(x, 0.4, 0.0), end=(x, 0.4, 2.0), radius=0.02)
+    above = (x, 0.03, float(tip[2]) + 0.05)
+    shoot = Capsule(name="shoot", start=(x, 0.4, above[2]), end=above, radius=0.005, parent="trunk")
+    arm = SimulatedArm(robot, task(START, GOAL, [trunk, shoot], fruits=(apple,), wood=Wood()), trees=BendingTrees())
+    assert arm.trees is not None
+    weight = 9.81 * Wood().fruit_density * 4.0 / 3.0 * math.pi * apple.radius**3
+    assert arm.trees._weights == pytest.approx([weight], rel=1e-6)
+
+
+def test_what_is_near_the_arm_is_found_with_its_rows(robot: Robot) -> None:
+    far = Capsule(name="far", start=(-3.0, 0.0, 0.0), end=(-3.0, 0.0, 1.0), radius=0.01)
+    scene = task(START, GOAL, [TRUNK, SHOOT, far], wood=Wood())
+    ways = np.linspace(np.radians(START), np.radians(GOAL), 101)
+    near = find_near(robot, scene, ways)
+    ((first, last),) = near["shoot"]
+    assert 0 < first < 50 < last < 100
+    assert "far" not in near
+    ((wider, _),) = find_near(robot, scene, ways, {"shoot": 0.2})["shoot"]
+    assert wider < first

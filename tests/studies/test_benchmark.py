@@ -306,6 +306,11 @@ def test_a_trial_in_the_wind(tmp_path: Path) -> None:
     # Of the errors covered by default, those of base and camera alone leave no room at this branch.
     values = ("planners=0", "distance=1.6", "sigmas=0", "tracking=0.0005")
     (trial,) = rows_of("wood_trial", tmp_path, "--trees", str(tmp_path), "--values", *values)
+    (moving,) = rows_of("wood_trial", tmp_path, "--trees", str(tmp_path), "--values", *values, "moves_all=1")
+    for name in ("planned", "picked", "broken", "knocked_off", "rigid_contacts", "held_contacts"):
+        assert trial[name] == moving[name]
+    assert trial["miss_mm"] == pytest.approx(moving["miss_mm"], abs=1.0)
+    assert trial["held_contacts"] == 0
     assert trial["planned"] == trial["picked"] == 1
     assert trial["broken"] == trial["knocked_off"] == trial["rigid_contacts"] == 0
     assert not trial["diverged"]
@@ -333,7 +338,7 @@ def test_sway_of_a_limb_in_steady_wind_is_that_of_a_cantilever() -> None:
     shoot = Capsule(name="shoot", start=(0.0, 0.0, 1.0), end=(0.0, 0.8, 1.0), radius=0.005, parent="trunk")
     rest = Start(joints_deg=(0.0,)), Goal(joints_deg=(0.0,))
     scene = Scene(name="tree", start=rest[0], goal=rest[1], obstacles=(trunk, shoot), wood=Wood())
-    sway = wood_trial._sway(scene, Wind(speed_m_s=2.0, intensity=0.0, leaf_width_m=0.02))
+    sway = wood_trial._sway(scene, Wind(speed_m_s=1.0, intensity=0.5, leaf_width_m=0.02), 2.0)
     load = 0.5 * 1.2 * 2.0**2 * (2.0 * 0.005 + 0.02)  # newton per metre
     rigidity = 5e9 * 0.25 * math.pi * 0.005**4
     assert sway["shoot"] == pytest.approx(load * 0.8**4 / (8.0 * rigidity), rel=0.05)

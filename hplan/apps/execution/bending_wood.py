@@ -153,6 +153,7 @@ class WoodBodies:
         obstacle_of: Name of the limb or fruit by the name of each geometry.
         fruits: The fruit that hang.
         joints: Joints of the limbs, at the first and the second Gauss point of each element in turn.
+        decay_s: Time constant of the decay of the first mode of each kinematic tree [s]; 0 for trees without limbs.
     """
 
     def __init__(
@@ -173,6 +174,7 @@ class WoodBodies:
         self.obstacle_of: dict[str, str] = {}
         self.fruits: list[Fruit] = []
         self.joints = _Joints()
+        self.decay_s: FloatArray = np.zeros(0)
         self._mujoco, self._meets = mujoco, meets
         self._rigidity = limbs.flexural_rigidity(trees.youngs_modulus(limbs, wood))
         self._stations: dict[int, tuple[FloatArray, list[Carrier]]] = {}
@@ -333,7 +335,7 @@ class WoodBodies:
 
     def _find_damping_times(self, model: Any, data: Any, dofs: IntArray, stiffness: FloatArray) -> FloatArray:
         """(m,) ratio of damping to stiffness of each joint [s], by the first mode of each limb."""
-        found = np.zeros(len(dofs))
+        found, self.decay_s = np.zeros(len(dofs)), np.zeros(model.ntree)
         if not len(dofs):
             return found
         mass = np.zeros((model.nv, model.nv))
@@ -344,6 +346,7 @@ class WoodBodies:
             rows, scale = dofs[which], 1.0 / np.sqrt(stiffness[which])
             slowest = _largest_eigenvalue(scale[:, None] * mass[np.ix_(rows, rows)] * scale)  # 1 / frequency^2
             found[which] = 2.0 * self.trees.damping_ratio * math.sqrt(slowest)
+            self.decay_s[tree] = math.sqrt(slowest) / self.trees.damping_ratio
         return found
 
     def _make_springs(self, model: Any) -> None:
@@ -364,7 +367,7 @@ def set_solver(mujoco: ModuleType, spec: Any, *, sleeps: bool) -> None:
     """Make the simulation of trees cheap.
 
     The dual solver's effort grows with the number of contacts, that of the others with the number of joints. Limbs that
-    sleep are not simulated until they are touched; at rest and without wind this changes nothing.
+    sleep are not simulated until they are touched or wind blows on them; at rest this changes nothing.
 
     Args:
         mujoco: The module.

@@ -126,7 +126,7 @@ def mujoco_model(
     names = {}
     wood = None if trees is None else _add_wood(mujoco, spec, scene, trees, bending)
     if trees is not None:
-        set_solver(mujoco, spec, sleeps=trees.wind is None)
+        set_solver(mujoco, spec, sleeps=True)
     bent = set() if wood is None else set(wood.obstacle_of.values())
     for number, obstacle in enumerate(solids):
         if obstacle.name in bent:
@@ -238,9 +238,6 @@ def _shapes(mujoco: ModuleType, spec: Any, obstacle: Solid, number: int | str) -
 #: Period of the controller [s].
 CONTROL_PERIOD = 1e-3
 
-#: Simulation steps for each control period.
-_SUBSTEPS = 4
-
 
 @dataclass(frozen=True)
 class Touch:
@@ -290,6 +287,7 @@ class SimulatedArm:
         trees: BendingTrees | None = None,
         bending: Collection[str] | None = None,
         picked: Collection[str] = (),
+        substeps: int = 4,
     ) -> None:
         """Build the model.
 
@@ -300,6 +298,7 @@ class SimulatedArm:
             trees: Properties of limbs that bend and fruit that hang; None for rigid and yielding obstacles.
             bending: Names of the limbs that bend, and of the fruit that hang; None for all. Others are rigid.
             picked: Names of fruit that is picked besides the goal fruit.
+            substeps: Simulation steps for each control period.
 
         Raises:
             InputError: MuJoCo is not installed, or a cloud has more than 2,000 balls.
@@ -311,7 +310,7 @@ class SimulatedArm:
         self.plant = Plant() if plant is None else plant
         self._mujoco = import_mujoco()
         self._model, self._obstacle_of, wood = mujoco_model(
-            self._mujoco, robot, scene, timestep_s=CONTROL_PERIOD / _SUBSTEPS, trees=trees, bending=bending,
+            self._mujoco, robot, scene, timestep_s=CONTROL_PERIOD / substeps, trees=trees, bending=bending,
             picked=picked,
         )  # fmt: skip
         factor = np.full(self._model.nbody, self.plant.mass_factor)
@@ -326,7 +325,9 @@ class SimulatedArm:
         self._link_of = [self._model.body(body).name for body in self._model.geom_bodyid.tolist()]
         self._motors = np.array([self._model.actuator(name).id for name in robot.joint_names])
         self._pin_data = robot.model.createData()
+        self._is_lower = np.tri(robot.dof, k=-1, dtype=np.bool_)
         self._touched: dict[tuple[str, str], Touch] = {}
+        self._substeps = substeps
 
     @property
     def time_s(self) -> float:
@@ -373,6 +374,24 @@ class SimulatedArm:
         self._data.qvel[self._v_at] = 0.0 if velocity is None else numbers("velocity", velocity, size)
         self._mujoco.mj_forward(self._model, self._data)
         self._note_contacts()
+
+    def settle(self, position: ArrayLike) -> None:
+        """Hold a configuration until trees sway in the wind, which is the time 0.
+
+        Args:
+            position: (dof,) configuration [rad, or m if prismatic].
+
+        Raises:
+            InputError: `position` has another shape or a value that is not finite.
+        """
+        self.place(position)
+        ticks = 0 if self.trees is None else math.ceil(self.trees.settle_s / CONTROL_PERIOD)
+        rest, hold = np.zeros(self.robot.dof), self.position
+        self._data.time = -ticks * CONTROL_PERIOD
+        for _ in range(ticks):
+            self.follow(hold, rest, rest)
+        self._data.time = 0.0
+        self.place(position)
 
     def pass_through(self, names: Sequence[str]) -> None:
         """Disable contacts with obstacles or fruits, for example with a picked fruit.
@@ -433,9 +452,9 @@ class SimulatedArm:
         self._data.ctrl[self._motors] = np.clip(torque, -limit, limit)
         if self.trees is not None:
             self.trees.blow()
-        for _ in range(_SUBSTEPS):
+        for step in range(self._substeps):
             self._mujoco.mj_step(self._model, self._data)
-            self._note_contacts()
+            self._note_contacts(if_touched=step < self._substeps - 1)
 
     def follow(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
         """Simulate one control period of a computed-torque controller.
@@ -470,8 +489,8 @@ class SimulatedArm:
 
     def inertia(self, position: FloatArray) -> FloatArray:
         """(dof, dof) symmetric inertia matrix of the controller's model."""
-        upper = np.triu(pin.crba(self.robot.model, self._pin_data, position))
-        return np.asarray(upper + np.triu(upper, 1).T)
+        found = np.asarray(pin.crba(self.robot.model, self._pin_data, position))
+        return np.where(self._is_lower, found.T, found)  # Pinocchio computes the upper triangle
 
     def cast_rays(self, origin: ArrayLike, directions: FloatArray) -> tuple[FloatArray, IntArray]:
         """Distances along rays to the first hit, the arm included.
@@ -497,8 +516,12 @@ class SimulatedArm:
         is_obstacle = np.isin(geoms, list(self._obstacle_of)).astype(np.int64)
         return np.where(geoms >= 0, found, np.inf), is_obstacle
 
-    def _note_contacts(self) -> None:
-        """Record the first time and the maximum depth of all current contacts; those with wood go to `trees`."""
+    def _note_contacts(self, *, if_touched: bool = False) -> None:
+        """Record the first time and the maximum depth of all current contacts; those with wood go to `trees`.
+
+        Args:
+            if_touched: True to measure trees only if they are touched.
+        """
         wood: dict[tuple[str, str], list[int]] = {}
         for number in range(self._data.ncon):
             contact = self._data.contact[number]
@@ -512,5 +535,5 @@ class SimulatedArm:
             yields = max(float(self._model.geom_gap[geom]) for geom in geoms)
             first = self._touched.get((link, obstacle), Touch(float(self._data.time), link, obstacle, 0.0, yields))
             self._touched[link, obstacle] = replace(first, depth_m=max(first.depth_m, depth))
-        if self.trees is not None:
+        if self.trees is not None and (wood or not if_touched):
             self.trees.note(wood)

@@ -145,7 +145,7 @@ _RECORD_TICKS = 16
 _NEAR_M = 0.1
 
 #: Maximum distance between configurations at which limbs near the arm are searched [rad, or m if prismatic].
-_SEARCH_STEP = 0.05
+_SEARCH_STEP = 0.015
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,6 +386,7 @@ def _track_reference(
     a_late[late < 0.0] = 0.0
     feed = np.array([arm.feed_forward(*row) for row in zip(q_late, v_late, a_late, strict=True)])
     stiffness, damping = _gains(arm, q_ref)
+    arm.settle(q_ref[0])
     arm.place(q_ref[0], v_ref[0])
     position = np.full_like(q_ref, np.nan)
     torque = np.zeros_like(q_ref)
@@ -446,16 +447,39 @@ def _track_reference(
     )
 
 
-def find_near(robot: Robot, scene: Scene, positions: FloatArray) -> set[str]:
-    """Names of the obstacles and fruit near the arm along (n, dof) configurations."""
+def find_near(
+    robot: Robot, scene: Scene, positions: FloatArray, sway_m: Mapping[str, float] | None = None
+) -> dict[str, list[tuple[int, int]]]:
+    """Obstacles and fruit whose place at rest is near the arm along (n, dof) configurations.
+
+    Near is closer than 0.1 m; about half of it allows for the motion between the configurations that are searched.
+
+    Args:
+        robot: The arm.
+        scene: The obstacles and fruit.
+        positions: The configurations.
+        sway_m: Further distance by which each obstacle or fruit may move, by name [m].
+
+    Returns:
+        First and last rows of the configurations near each of them, by name.
+    """
     steps = np.abs(np.diff(positions, axis=0)).max(axis=1, initial=0.0)
     stations = np.append(0.0, np.cumsum(steps))
     at = np.linspace(0.0, stations[-1], 2 + int(stations[-1] / _SEARCH_STEP))
     rows = np.unique(np.searchsorted(stations, at).clip(0, len(stations) - 1))
     checker = CoalScene(robot, scene.copy_unchecked({"wood": None}).solids_with_goal)
     solids = slice(0, checker.own_first)
-    gaps = np.min([checker.distances(q)[:, solids].min(axis=0) for q in positions[rows]], axis=0)
-    return {name for name, gap in zip(checker.obstacle_names[solids], gaps.tolist(), strict=True) if gap < _NEAR_M}
+    names = checker.obstacle_names[solids]
+    margin = _NEAR_M + np.array([0.0 if sway_m is None else sway_m.get(name, 0.0) for name in names])
+    is_near = np.array([checker.distances(q)[:, solids].min(axis=0) < margin for q in positions[rows]])
+    found = dict[str, list[tuple[int, int]]]()
+    for name, column in zip(names, is_near.T, strict=True):
+        edges = np.flatnonzero(np.diff(column.astype(np.int64), prepend=0, append=0)).reshape(-1, 2)
+        # Each searched configuration counts for the motion to its neighbours.
+        spans = [(int(rows[max(first - 1, 0)]), int(rows[min(last, len(rows) - 1)])) for first, last in edges.tolist()]
+        if spans:
+            found[name] = [*found.get(name, []), *spans]
+    return found
 
 
 def _gains(arm: SimulatedArm, q: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -24,6 +24,15 @@ _SETTLES_S = 1.0
 #: Time for which the wind has one speed [s].
 _GUST_S = 0.01
 
+#: Time in which wind rises on limbs that begin to move [s].
+_RISE_S = 1.0
+
+#: Limbs sway as if the wind had blown before after this number of decay times, and this time at least and at most [s].
+_DECAYS, _SETTLES_IN_S = 3.0, (2.0, 10.0)
+
+#: Limbs move on for this time after the arm has been near or touched them [s].
+_AFTER_S = 1.0
+
 
 @dataclass(frozen=True)
 class LimbContact:
@@ -144,12 +153,13 @@ class _Extremes:
 
 
 class TreeMonitor:
-    """Measures limbs and fruit during a simulation.
+    """Measures limbs and fruit during a simulation, and blows on them.
 
     Attributes:
         bodies: The bodies of limbs and fruit.
         measured: Names of the fruit that hangs, and of the limbs that bend or are carried.
         max_stress_pa: (n,) largest bending stress of each limb [Pa].
+        touched_still: Names of limbs and fruit that were touched while the wind did not move them.
     """
 
     def __init__(self, mujoco: ModuleType, model: Any, data: Any, bodies: WoodBodies) -> None:
@@ -188,13 +198,33 @@ class TreeMonitor:
             model.geom(name).id: np.array(data.xpos[model.geom(name).bodyid[0]]) for name in bodies.obstacle_of
         }
         self._pieces = self._pieces_of_bodies()
-        #: Speeds of the wind at multiples of `_GUST_S`.
-        self._wind_speeds, self._gust = np.zeros(0), -1
+        #: Time until each kinematic tree sways as if the wind had blown before [s].
+        self._lead_s = np.clip(_DECAYS * bodies.decay_s, *_SETTLES_IN_S)
+        #: Speeds of the wind at multiples of `_GUST_S`; the first one is that of the earliest wind on a tree.
+        self._wind_speeds, self._gust, self._is_new_gust = np.zeros(0), -1, False
+        #: Kinematic tree of each position, and of each geometry of wood.
+        sizes = np.where(model.jnt_type == int(mujoco.mjtJoint.mjJNT_BALL), 4, 1)
+        self._tree_of_q = np.repeat(model.body_treeid[model.jnt_bodyid], sizes)
+        self._tree_of = {model.geom(name).id: int(model.body_treeid[model.geom(name).bodyid[0]])
+                         for name in bodies.obstacle_of}  # fmt: skip
+        #: Time when the wind began to blow on each kinematic tree, NaN if it does not, and of the last contact [s].
+        self._blows_since = np.full(model.ntree, -self._lead_s.max())
+        self._touched_s = np.full(model.ntree, -math.inf)
+        #: Trees and times that wind is limited to: numbers, begins and ends [s].
+        self._spans: tuple[IntArray, FloatArray, FloatArray] | None = None
+        self.touched_still = set[str]()
         self.max_stress_pa = np.zeros(len(bodies.limbs.names))
         self._stress = self.max_stress_pa.copy()
         self._last_contact_s = -math.inf
-        #: (k,) forces of the stalks at rest [N].
-        self._weights = np.linalg.norm(self._stalk_forces(), axis=1)
+        #: (k, 3) forces of the stalks at rest, and their sizes [N].
+        self._rest_forces = np.zeros((len(names), 3))
+        # The arm is not placed yet, so it may touch fruit.
+        flags, contact = int(model.opt.disableflags), int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        model.opt.disableflags = flags | contact
+        mujoco.mj_forward(model, data)
+        self._rest_forces = self._stalk_forces()
+        model.opt.disableflags = flags
+        self._weights = np.linalg.norm(self._rest_forces, axis=1)
         self._contacts: dict[tuple[str, str], _Extremes] = {}
         self._broken: dict[str, Damage] = {}
         self._knocked_off: dict[str, Damage] = {}
@@ -212,8 +242,9 @@ class TreeMonitor:
         """
         if contacts:
             self._last_contact_s = float(self._data.time)
-        elif self.bodies.trees.wind is None and self._data.time > self._last_contact_s + _SETTLES_S:
+        elif self._data.time > self._last_contact_s + _SETTLES_S and not self._is_new_gust:
             return
+        self._is_new_gust = False
         self._note_stress()
         stalks = self._stalk_forces()
         for (link, obstacle), numbers in contacts.items():
@@ -228,6 +259,10 @@ class TreeMonitor:
             force += float(wrench[0])
             contact = data.contact[number]
             geom = next(int(geom) for geom in contact.geom if int(geom) in self._rest_of)
+            tree = self._tree_of[geom]
+            if self._spans is not None and math.isnan(self._blows_since[tree]):
+                self.touched_still.add(obstacle)
+            self._touched_s[tree] = time_s
             body = int(model.geom_bodyid[geom])
             local = data.xmat[body].reshape(3, 3).T @ (contact.pos - data.xpos[body])
             deflection = max(deflection, math.dist(contact.pos - local, self._rest_of[geom]))
@@ -271,6 +306,8 @@ class TreeMonitor:
             return np.zeros((0, 3))
         self._mujoco.mj_rnePostConstraint(self._model, self._data)
         found: FloatArray = self._data.cfrc_int[self._fruit_ids, 3:]
+        asleep = self._data.body_awake[self._fruit_ids] == int(self._mujoco.mjtSleepState.mjS_ASLEEP)
+        found[asleep] = self._rest_forces[asleep]
         return found
 
     def _note_stalks(self, stalks: FloatArray) -> None:
@@ -303,15 +340,69 @@ class TreeMonitor:
             self._model.body_mass[body] *= remaining
             self._model.body_inertia[body] *= remaining
 
+    def move_only(self, times_s: Mapping[str, Sequence[tuple[float, float]]]) -> None:
+        """Let wind move limbs and fruit only at given times; otherwise they rest, and cost little.
+
+        Limbs that are connected move together. Wind begins to rise before each of the times, so that they sway then as
+        if it had blown before, and moves them until `_AFTER_S` after it; soft limbs, on which wind has effects for
+        longer than it blows before the motion, move all the time. Limbs that are touched while they rest bend, are
+        listed in `touched_still`, and move in the wind as long as they are touched and `_AFTER_S` longer.
+
+        Args:
+            times_s: Begins and ends of the times when each limb or fruit moves, by name [s].
+        """
+        rows = sorted({
+            self._span(tree, begin, end)
+            for geom, tree in self._tree_of.items()
+            for begin, end in times_s.get(self.bodies.obstacle_of[self._model.geom(geom).name], ())
+        })  # fmt: skip
+        table = np.array(rows).reshape(-1, 3)
+        self._spans = table[:, 0].astype(np.int64), table[:, 1], table[:, 2]
+        self._blows_since[:] = math.nan
+
+    def _span(self, tree: int, begin: float, end: float) -> tuple[int, float, float]:
+        """Time when wind moves a kinematic tree for the sake of a shorter one [s]."""
+        lead = float(self._lead_s[tree])
+        return (tree, -lead, math.inf) if lead == _SETTLES_IN_S[1] else (tree, begin - lead, end + _AFTER_S)
+
+    @property
+    def settle_s(self) -> float:
+        """Time for which wind has to blow before the first motion [s]."""
+        if self.bodies.trees.wind is None:
+            return 0.0
+        return float(self._lead_s.max() if self._spans is None else -self._spans[1].min(initial=0.0))
+
+    def _find_blown_on(self) -> None:
+        """Begin to blow on trees, and put others to rest."""
+        if self._spans is None:
+            return
+        time_s, is_blown_on = float(self._data.time), ~np.isnan(self._blows_since)
+        moves = self._touched_s > time_s - _AFTER_S
+        tree, begin, end = self._spans
+        moves[tree[(begin <= time_s) & (time_s < end)]] = True
+        self._blows_since[moves & ~is_blown_on] = time_s
+        stop = is_blown_on & ~moves
+        if stop.any():
+            # MuJoCo lets limbs at rest sleep.
+            self._blows_since[stop] = math.nan
+            rows = stop[self._tree_of_q]
+            self._data.qpos[rows] = self._model.qpos0[rows]
+            self._data.qvel[stop[self._model.dof_treeid]] = 0.0
+
     def blow(self) -> None:
         """Apply the wind of the present time to limbs and fruit.
 
         Drag lasts as long as a speed of the wind: where limbs are at its start counts.
         """
-        wind, row = self.bodies.trees.wind, int(self._data.time / _GUST_S)
+        since_s = float(self._data.time) + float(self._lead_s.max())
+        wind, row = self.bodies.trees.wind, int(since_s / _GUST_S + 1e-6)
         if wind is None or row == self._gust:
             return
-        self._gust = row
+        self._gust, self._is_new_gust = row, True
+        self._find_blown_on()
+        elapsed = np.nan_to_num(float(self._data.time) - self._blows_since, nan=0.0)
+        rise = np.clip(elapsed / _RISE_S, 0.0, 1.0)
+        rise = (rise**2 * (3.0 - 2.0 * rise))[self._model.body_treeid] ** 2  # of the drag on each body
         while row >= len(self._wind_speeds):
             self._wind_speeds = wind.speeds(max(10.0, 2.0 * len(self._wind_speeds) * _GUST_S), _GUST_S)
         speed = float(self._wind_speeds[row])
@@ -321,8 +412,8 @@ class TreeMonitor:
         levers = np.einsum("nij,nj->ni", turns, local) + self._data.xpos[body] - self._data.xipos[body]
         applied = self._data.xfrc_applied
         applied[self._body_ids] = 0.0
-        np.add.at(applied, body, np.hstack([forces, np.cross(levers, forces)]))
-        applied[self._fruit_ids, :3] = wind.fruit_drag(self._fruit_radius, speed)
+        np.add.at(applied, body, rise[body, None] * np.hstack([forces, np.cross(levers, forces)]))
+        applied[self._fruit_ids, :3] = rise[self._fruit_ids, None] * wind.fruit_drag(self._fruit_radius, speed)
         released = [self._fruit_ids[self._fruit_rows[name]] for name in self._released]
         applied[released] = 0.0
 

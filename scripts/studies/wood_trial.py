@@ -20,8 +20,8 @@ gust of three standard deviations, comes within 50 mm of the arm, and only aroun
 hang likewise. Others are rigid and at rest, can be touched, and touches are counted (`held_contacts`). `--values
 moves_all=1` lets the limbs move all the time.
 
-With `--values sway=3` certificates also cover the equilibrium of limbs and fruit in such a gust; limbs in resonance move
-farther.
+With `--values sway=3` certificates also cover the equilibrium of limbs and fruit in such a gust; limbs in resonance
+move farther.
 With `--values minutes=10` the base stops at random places around trees of the same kind until the motions and grips of
 a planner have taken that long; `--values stops=3` ends after the first three places, the same for all planners.
 The recipe of MoveIt is RRTConnect, simplified and timed by toppra, with a padding of `PADDING_M`: once with all wood

@@ -336,6 +336,16 @@ def test_limbs_sway_when_the_motion_begins(robot: Robot) -> None:
     assert sideways(arm) == pytest.approx(bent, rel=0.1)  # no jump
 
 
+def test_trees_settle_in_long_steps_as_in_short_ones(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    ends = []
+    for step_s in (4e-3, 5e-4):
+        monkeypatch.setattr("hplan.apps.execution.simulated_arm._COARSE_STEP_S", step_s)
+        arm = in_breeze(robot, fruit("apple", 0.0, 1.4, 1.25))
+        arm.settle(np.radians(START))
+        ends.append(sideways(arm))
+    assert ends[0] == pytest.approx(ends[1], rel=0.01)
+
+
 def test_limbs_move_only_while_the_arm_is_near(robot: Robot) -> None:
     arm, q = in_breeze(robot), np.radians(START)
     assert arm.trees is not None

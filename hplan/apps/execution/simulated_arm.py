@@ -238,6 +238,9 @@ def _shapes(mujoco: ModuleType, spec: Any, obstacle: Solid, number: int | str) -
 #: Period of the controller [s].
 CONTROL_PERIOD = 1e-3
 
+#: Trees settle in the wind in longer steps until this time before the motion, and these steps [s].
+_SETTLES_FINELY_S, _COARSE_STEP_S = 2.0, 4e-3
+
 
 @dataclass(frozen=True)
 class Touch:
@@ -385,11 +388,20 @@ class SimulatedArm:
             InputError: `position` has another shape or a value that is not finite.
         """
         self.place(position)
-        ticks = 0 if self.trees is None else math.ceil(self.trees.settle_s / CONTROL_PERIOD)
-        rest, hold = np.zeros(self.robot.dof), self.position
-        self._data.time = -ticks * CONTROL_PERIOD
-        for _ in range(ticks):
-            self.follow(hold, rest, rest)
+        if self.trees is not None and self.trees.settle_s > 0.0:
+            rest, hold, settle_s = np.zeros(self.robot.dof), self.position, self.trees.settle_s
+            ticks = math.ceil(min(settle_s, _SETTLES_FINELY_S) / CONTROL_PERIOD)
+            steps = math.ceil((settle_s - ticks * CONTROL_PERIOD) / _COARSE_STEP_S - 1e-9)
+            self._data.time = -ticks * CONTROL_PERIOD - steps * _COARSE_STEP_S
+            fine_s = self.trees.change_step(_COARSE_STEP_S)
+            for _ in range(steps):
+                self.trees.blow()
+                self._mujoco.mj_step(self._model, self._data)
+                self._note_contacts()
+                self._data.qpos[self._q_at], self._data.qvel[self._v_at] = hold, 0.0
+            self.trees.change_step(fine_s)
+            for _ in range(ticks):
+                self.follow(hold, rest, rest)
         self._data.time = 0.0
         self.place(position)
 

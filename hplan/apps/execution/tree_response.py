@@ -360,6 +360,20 @@ class TreeMonitor:
         self._spans = table[:, 0].astype(np.int64), table[:, 1], table[:, 2]
         self._blows_since[:] = math.nan
 
+    def change_step(self, step_s: float) -> float:
+        """Change the time step; trees stay stable with any.
+
+        Returns:
+            The step until now [s].
+        """
+        model = self._model
+        before_s, model.opt.timestep = float(model.opt.timestep), step_s
+        # Stiffness times the step is part of the damping, which makes the method implicit.
+        stiffness, damping = (table if table.ndim == 1 else table[:, 0]
+                              for table in (model.jnt_stiffness, model.dof_damping))  # fmt: skip
+        damping += (step_s - before_s) * stiffness[model.dof_jntid]
+        return before_s
+
     def _span(self, tree: int, begin: float, end: float) -> tuple[int, float, float]:
         """Time when wind moves a kinematic tree for the sake of a shorter one [s]."""
         lead = float(self._lead_s[tree])

@@ -299,7 +299,7 @@ def _at_stop(config: StudyConfig, trial: Trial, stop: int | None) -> Row:
         return row
     plant = Plant(mass_factor=errors.mass_factor(random), bandwidth=BANDWIDTH, decoupled=True)
     moves_all = bool(config.values.get("moves_all", (0.0,))[0])
-    done, executed_ms = timed(lambda: _execute(robot, scene, work, plant, BendingTrees(wind=wind), moves_all=moves_all))
+    done, executed_ms = timed(lambda: _execute(robot, scene, work, plant, wind, moves_all=moves_all))
     row |= done | {"executed_s": 1e-3 * executed_ms}
     is_harmful = row["broken"] or row["knocked_off"] or row["rigid_contacts"]
     is_far_off = row["tracking_mrad"] > 1e3 * _tracking(config)
@@ -348,16 +348,14 @@ def _sway(scene: Scene, wind: Wind, sigmas: float) -> dict[str, float]:
     return found
 
 
-def _execute(robot: Robot, scene: Scene, work: _Work, plant: Plant, trees: BendingTrees, *, moves_all: bool) -> Row:
-    """Execute a motion among trees that bend, and take the fruit that the gripper reaches.
+def _execute(robot: Robot, scene: Scene, work: _Work, plant: Plant, wind: Wind, *, moves_all: bool) -> Row:
+    """Execute a motion among trees that bend in the wind, and take the fruit that the gripper reaches.
 
     Args:
         moves_all: True to let limbs and fruit that the arm comes near to move all the time, not only while it is near.
     """
-    assert trees.wind is not None
-    sway = _sway(scene, trees.wind, SIGMAS)
-    near = find_near(robot, scene, work.position[::_NEAR_ROWS], sway)
-    arm = SimulatedArm(robot, scene, plant, trees=trees, bending=near, substeps=SUBSTEPS)
+    near = find_near(robot, scene, work.position[::_NEAR_ROWS], _sway(scene, wind, SIGMAS))
+    arm = SimulatedArm(robot, scene, plant, trees=BendingTrees(wind=wind), bending=near, substeps=SUBSTEPS)
     monitor = arm.trees
     assert monitor is not None
     if not moves_all:

@@ -349,22 +349,21 @@ def plane_behind(arm: BodyArrays, b: int) -> Plane:
 
 @kernel
 def nearest_leaf(placed: TableArray, b: int, solids: TableArray, node: int) -> int:
-    """Leaf of a cloud's tree below a node that is about the nearest to a body's axis; `NO_ROW` if there is none."""
-    start, along = segment_of(placed, b)
+    """Leaf of a cloud's tree that is about the nearest to a body's axis; `NO_ROW` for a group of other obstacles."""
     found = node
     while solids[found].kind == row.NODE:
-        child, end, nearest, least = found + 1, solids[found].next, NO_ROW, math.inf
+        found += 1
+    if solids[found].kind != row.LEAF:
+        return NO_ROW
+    found, (start, along) = node, segment_of(placed, b)
+    while solids[found].kind == row.NODE:
+        child, end, least = found + 1, solids[found].next, math.inf
         while child < end:
             solid = solids[child]
-            if solid.kind < row.NODE:
-                return NO_ROW
             apart = point_segment(vector_of(solid.centre), start, along) - solid.bound
             if apart < least:
-                least, nearest = apart, child
+                least, found = apart, child
             child = solid.next
-        if nearest == NO_ROW:
-            return NO_ROW
-        found = nearest
     return found
 
 

@@ -349,21 +349,27 @@ def plane_behind(arm: BodyArrays, b: int) -> Plane:
 
 @kernel
 def nearest_leaf(placed: TableArray, b: int, solids: TableArray, node: int) -> int:
-    """Leaf of a cloud's tree that is about the nearest to a body's axis; `NO_ROW` for a group of other obstacles."""
-    found = node
-    while solids[found].kind == row.NODE:
-        found += 1
-    if solids[found].kind != row.LEAF:
+    """Leaf of a cloud's tree that is about the nearest to a body's axis.
+
+    `NO_ROW` for a group of other obstacles, and below a node whose rows have been left out.
+    """
+    first, last = node, solids[node].next
+    while first < last and solids[first].kind == row.NODE:
+        first += 1
+    if first == last or solids[first].kind != row.LEAF:
         return NO_ROW
     found, (start, along) = node, segment_of(placed, b)
     while solids[found].kind == row.NODE:
-        child, end, least = found + 1, solids[found].next, math.inf
+        child, end, nearest, least = found + 1, solids[found].next, NO_ROW, math.inf
         while child < end:
             solid = solids[child]
             apart = point_segment(vector_of(solid.centre), start, along) - solid.bound
             if apart < least:
-                least, found = apart, child
+                least, nearest = apart, child
             child = solid.next
+        if nearest == NO_ROW:
+            return NO_ROW
+        found = nearest
     return found
 
 

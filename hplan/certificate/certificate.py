@@ -513,14 +513,13 @@ def certify_among(
         moved = goal_displacement(subject)
         violations += capture_violations(moved)
     in_place = clearance_in_place(last, (float(clock[0]), float(clock[-1])), clearance, least)
-    return Certificate(
+    found = Certificate(
         verified=not violations,
         min_clearance_m=min(least, in_place.distance_m),
         nearest=_nearest_of(proof.nearest for proof in proofs),
         limit_use=use,
         checks=sum(proof.checks for proof in proofs),
         violations=tuple(violations),
-        subject=subject,
         nearest_s=_nearest_s([proof.nearest for proof in proofs], seen_s),
         pair_rules=joined_rules([*rules, in_place.rules]),
         clear_until_s=None
@@ -530,6 +529,33 @@ def certify_among(
         goal_displacement_m=None if moved is None else moved.moved_m,
         max_tilt_rad=tilt,
     )
+    if found.verified and last.moving is None and not subject.has_limbs:
+        subject = Subject(((replace(motion, certificate=found), False),))
+    return replace(found, subject=subject)
+
+
+def certificate_of_part(whole: Certificate, begin_s: float, end_s: float) -> Certificate | None:
+    """Certificate of a motion between two of its samples, from the certificate of the whole.
+
+    Its bounds are those of the motions that the part is from. Like the parts of a sequence (`all_of`), it has neither
+    task nor contact times.
+
+    Args:
+        whole: Certificate of the motion.
+        begin_s: Time of the first sample [s].
+        end_s: Time of the last sample [s].
+
+    Returns:
+        The certificate; None if the whole is not verified, its subject is unknown, something moves or bends, or the
+        part has no segment.
+    """
+    if not whole.verified or whole.subject is None:
+        return None
+    subject = whole.subject.cut(begin_s, end_s)
+    parts = [motion.certificate for motion, _ in subject.motions if motion.certificate is not None]
+    if not parts or len(parts) < len(subject.motions):
+        return None
+    return replace(all_of(parts), checks=0, subject=subject)
 
 
 def rest_violations(

@@ -22,7 +22,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -34,7 +34,10 @@ from hplan.certificate.pushes import pushes_along
 from hplan.certificate.segment_contacts import Push, SegmentContacts
 from hplan.collision.coal_scene import CoalScene
 from hplan.robot.model import Robot
-from hplan.trajectory.trajectory import Trajectory
+from hplan.trajectory.trajectory import SAME_TIME, Trajectory
+
+if TYPE_CHECKING:
+    from hplan.certificate.certificate import Certificate
 
 #: Travel between two stations: a fraction of the distance of the nearest pair, and its bounds [m].
 _STATION_FRACTION, _STATION_M = 0.08, (1e-3, 0.05)
@@ -116,6 +119,14 @@ class ProvedStretch(NamedTuple):
     proof: Proof
     clock: FloatArray | None = None
 
+    def cut(self, rows: slice) -> ProvedStretch:
+        """The part of the stretch in a range of the motion's segments, numbered from there on."""
+        first, last = max(self.part.start, rows.start), min(self.part.stop, rows.stop)
+        inside = slice(first - self.part.start, last - self.part.start)
+        deviations = self.deviations if len(self.deviations) == 1 else self.deviations[inside]
+        clock = None if self.clock is None else self.clock[inside.start : inside.stop + 1]
+        return ProvedStretch(slice(first - rows.start, last - rows.start), self.checker, deviations, self.proof, clock)
+
 
 @dataclass(frozen=True, eq=False)
 class ProvedMotion(Record):
@@ -126,12 +137,14 @@ class ProvedMotion(Record):
         trajectory: The motion.
         stretches: The proofs of its ranges, in order.
         clearance: Required clearance [m].
+        certificate: Certificate of the motion by itself; None if it does not hold for its parts.
     """
 
     robot: Robot
     trajectory: Trajectory
     stretches: tuple[ProvedStretch, ...]
     clearance: float
+    certificate: Certificate | None = None
 
     @cached_property
     def curve(self) -> ClearanceCurve:
@@ -157,6 +170,18 @@ class ProvedMotion(Record):
             for stretch in self.stretches
         )  # fmt: skip
 
+    def cut(self, begin_s: float, end_s: float) -> ProvedMotion | None:
+        """The motion between the first sample and the last sample within two times; None without a segment."""
+        time = self.trajectory.time
+        first = int(np.searchsorted(time, begin_s - SAME_TIME))
+        last = int(np.searchsorted(time, end_s + SAME_TIME, side="right")) - 1
+        if first >= last:
+            return None
+        rows = slice(first, last)
+        inside = (each for each in self.stretches if each.part.start < last and first < each.part.stop)
+        part = self.trajectory.cut_after(last).cut_before(first)
+        return replace(self, trajectory=part, stretches=tuple(stretch.cut(rows) for stretch in inside))
+
 
 @dataclass(frozen=True, eq=False)
 class Subject(Record):
@@ -177,6 +202,18 @@ class Subject(Record):
     def reversal(self) -> Subject:
         """The sequence in reverse."""
         return Subject(tuple((motion, not backwards) for motion, backwards in self.motions[::-1]))
+
+    def cut(self, begin_s: float, end_s: float) -> Subject:
+        """The sequence between two of its samples, by their times."""
+        found, offset_s = list[tuple[ProvedMotion, bool]](), 0.0
+        for motion, backwards in self.motions:
+            duration_s = motion.trajectory.duration
+            first_s, last_s = begin_s - offset_s, end_s - offset_s
+            span = (duration_s - last_s, duration_s - first_s) if backwards else (first_s, last_s)
+            part = motion.cut(*span)
+            found += [] if part is None else [(part, backwards)]
+            offset_s += duration_s
+        return Subject(tuple(found))
 
     @cached_property
     def curve(self) -> ClearanceCurve:

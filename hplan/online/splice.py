@@ -22,7 +22,13 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arguments import number
 from hplan.base.arrays import numbers
-from hplan.certificate.certificate import Certificate, all_of, rest_violations, with_violations
+from hplan.certificate.certificate import (
+    Certificate,
+    all_of,
+    certificate_of_part,
+    rest_violations,
+    with_violations,
+)
 from hplan.certificate.digests import Digests
 from hplan.certificate.goal_contact import FruitContact
 from hplan.certificate.moving_obstacles import checker_in_time
@@ -193,14 +199,12 @@ class RunningMotion:
         self._world.check_base()
         kept: SplicedResult | None = None
         if self._may_stay():
-            certificate = self._certificate(
-                Retimed.cut(self.plan.trajectory, self.plan.trajectory.samples - 1), self.row, rest=True, measured=False
-            )
+            certificate = self._certificate_until(self.plan.trajectory.samples - 1, rest=True, measured=False)
             if certificate.verified:
                 kept = self._keep(certificate)
                 if not self._may_be_faster:
                     return kept
-        until = self._certificate(Retimed.cut(self.plan.trajectory, seam), self.row)
+        until = self._certificate_until(seam)
         if not until.verified:
             raise self._takeover_error(until.violations)
         scene = self._scene.starting_at(float(time[seam])).copy_unchecked(
@@ -279,6 +283,18 @@ class RunningMotion:
             return same and before.goal_fruit == now.goal_fruit
         return same and FruitContact(before.goal_fruit, 0.0, 0.0).is_with([now.goal_fruit])
 
+    def _certificate_until(self, row: int, *, rest: bool = False, measured: bool = True) -> Certificate:
+        """Certificate of the running motion from now on up to a sample, as of `_certificate`.
+
+        Among obstacles that have not changed, it follows from the certificate of the whole.
+        """
+        cut, plan = Retimed.cut(self.plan.trajectory, row), self.plan
+        span_s = self.begins_s, float(plan.trajectory.time[row])
+        part = certificate_of_part(plan.certificate, *span_s) if self._is_certified else None
+        if part is None:
+            return self._certificate(cut, self.row, rest=rest, measured=measured)
+        return self._complete(part, cut, rest=rest)
+
     def _certificate(self, retimed: Retimed, row: int, *, rest: bool = False, measured: bool = True) -> Certificate:
         """Certify a motion on the running path among the current obstacles.
 
@@ -287,9 +303,14 @@ class RunningMotion:
         """
         robot, among, tracking = self._robot, (self._scene, self._checker), self._options.certified_tracking
         found = certified_from(robot, among, self._contacts, retimed, row, tracking=tracking, measured=measured)
-        found = with_violations(found, rest_violations(robot, retimed.trajectory, {"ends": -1}) if rest else ())
+        return self._complete(found, retimed, rest=rest)
+
+    def _complete(self, certificate: Certificate, retimed: Retimed, *, rest: bool) -> Certificate:
+        """Certificate with the contacts of a motion on the running path and, with `rest`, a check of its end."""
+        faults = rest_violations(self._robot, retimed.trajectory, {"ends": -1}) if rest else ()
         goal_contact = self.plan.certificate.goal_contact if self._contacts else None
-        return replace(found, goal_contact=goal_contact, contacts=map_to_retimed(retimed, self._contacts))
+        contacts = map_to_retimed(retimed, self._contacts)
+        return replace(with_violations(certificate, faults), goal_contact=goal_contact, contacts=contacts)
 
     def _takeover_error(self, reasons: Sequence[str]) -> HplanError:
         """Return the error for a running motion that cannot be taken over.

@@ -58,6 +58,7 @@ from hplan.planning.motion import Motion
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task, solve_scene
 from hplan.planning.problem import Problem
+from hplan.planning.recent_paths import with_motion
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.robot.upright import with_fixed_axis
@@ -129,6 +130,7 @@ class Planner:
         self._planning, self._changing, self._filtering = (renewed_in_children(RLock()) for _ in range(3))
         self._seen: dict[str, SeenPoints] = {}
         self._scratch = Scratch()
+        self._recent: tuple[FloatArray, ...] = ()
         self._space: SeenSpace | None = None
         self._known_since_s = -math.inf
 
@@ -247,8 +249,14 @@ class Planner:
             else:
                 seam_s = spliced.begins_s + spliced.seam_s
                 LOG.info("at %.6g s: a new motion takes over at %.6g s, until %.6g s", known_s, seam_s, end_s)
+            if not spliced.is_kept:
+                self._remember(spliced)
             self.last = self._with_ages(spliced, scene, known_s)
             return self.last
+
+    def _remember(self, plan: PlanResult) -> None:
+        """Remember the points of a motion for later searches."""
+        self._recent = with_motion(self._recent, plan.trajectory, plan.robot)
 
     def stop_at(self, t: float, *, now: float | None = None, measured: ArrayLike | None = None) -> CertifiedMotion:
         """Return the last motion with the fastest stop on its path.
@@ -361,6 +369,7 @@ class Planner:
         if before is not None and before.problem.robot.attached != scene.attached:
             before = None  # its torques are those of another load
         found = solve_scene(Problem.from_scene(self.robot, shown, options), before=before)
+        self._remember(found)
         self.last = self._with_ages(replace(found, begins_s=begin), scene, begins_s)
         return self.last
 
@@ -390,7 +399,7 @@ class Planner:
         if self.last is None:
             raise InputError("there is no running motion: plan one first")
         self._is_told = True
-        return RunningMotion(self.last, scene, options, now, measured)
+        return RunningMotion(self.last, scene, options, now, measured, self._recent)
 
     @contextmanager
     def _turn(self, cancel: Cancel | None) -> Iterator[None]:

@@ -22,12 +22,13 @@ from hplan.optimization.smooth_path import START_SHORTCUTS
 from hplan.planning.effort import FAR_FROM_BOUND
 from hplan.planning.failures import FailuresError
 from hplan.planning.problem import Problem
+from hplan.planning.recent_paths import recent_path
 from hplan.planning.rrt_connect import Pairs, tree_path
 from hplan.planning.stages import stage
 
 #: The origin of a path: none (start and goal are the same), a straight line, trees, a grid search, an earlier motion
-#: (repaired or unchanged), or the caller.
-Origin: TypeAlias = Literal["none", "direct", "trees", "search", "mended", "kept", "given"]
+#: (repaired or unchanged), several earlier motions, or the caller.
+Origin: TypeAlias = Literal["none", "direct", "trees", "search", "mended", "kept", "recent", "given"]
 
 #: Maximum number of paths of one homotopy class; more than one, since smoothing may fail.
 OF_A_CLASS = 3
@@ -262,7 +263,7 @@ class LongTrees(PathFinder):
 
 
 class FirstPaths(PathFinder):
-    """The first promising paths: straight lines, then trees."""
+    """The first promising paths: straight lines, one along recent motions, then trees."""
 
     def paths(self, problem: Problem) -> Iterator[tuple[Path, ...]]:
         """Yield single paths until one leads to a certified motion.
@@ -282,6 +283,9 @@ class FirstPaths(PathFinder):
             raise FailuresError(tuple(error for error in proofs if error is not None))
         left = [number for number, error in enumerate(proofs) if error is None]
         pairs, queries = self.tree_budget(problem)
+        known = path_along_recent(problem.with_goals(*left))
+        if known is not None:
+            yield known._replace(goal=left[known.goal])
         for seed in range(problem.effort.seed, problem.effort.seed + pairs):
             path, _ = tree_to_any(problem.with_goals(*left), queries, seed)
             if path is not None:
@@ -404,17 +408,31 @@ def _sample_evenly(path: FloatArray, velocity: FloatArray) -> FloatArray:
     return np.stack([np.interp(PARTS * clock[-1], clock, joint) for joint in path.T], axis=1)
 
 
+def path_along_recent(problem: Problem) -> Path | None:
+    """A path along recent motions to any goal, or None."""
+    with stage("trees"):
+        waypoints = recent_path(problem, _tree_margin(problem))
+    return None if waypoints is None else Path(waypoints, "recent", _goal_at(problem, waypoints[-1]))
+
+
+def _tree_margin(problem: Problem) -> float:
+    """Clearance beyond the required one that paths to any of a problem's goals keep [m]."""
+    return 0.1 * min(problem.with_goals(number).margin for number in range(len(problem.goals)))
+
+
+def _goal_at(problem: Problem, end: FloatArray) -> int:
+    """Number of the goal where a path ends."""
+    return int((problem.goals == end).all(axis=1).argmax())
+
+
 def tree_to_any(problem: Problem, evaluations: int, seed: int, pairs: Pairs | None = None) -> tuple[Path | None, int]:
     """A path of one pair of trees to any goal, or None.
 
     The second value is the number of distance queries spent.
     """
-    margin = 0.1 * min(problem.with_goals(number).margin for number in range(len(problem.goals)))
     with stage("trees"):
-        path, used = tree_path(problem, margin, evaluations, seed, goals=problem.goals, pairs=pairs)
-    if path is None:
-        return None, used
-    return Path(path, "trees", int((problem.goals == path[-1]).all(axis=1).argmax())), used
+        path, used = tree_path(problem, _tree_margin(problem), evaluations, seed, goals=problem.goals, pairs=pairs)
+    return None if path is None else Path(path, "trees", _goal_at(problem, path[-1])), used
 
 
 def long_trees(problem: Problem) -> tuple[range, int]:

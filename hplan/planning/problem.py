@@ -49,6 +49,7 @@ class Problem(Record):
         is_draft: True if motions are not certified: each only starts the optimizer of another one.
         pose_starts: Numbers of starts of the inverse kinematics at a goal pose, tried in order until a configuration is
             collision-free.
+        recent: (n, dof) configurations along each of some recent motions (`hplan.planning.recent_paths`).
     """
 
     robot: Robot
@@ -64,6 +65,7 @@ class Problem(Record):
     other_world: World | None = None
     is_draft: bool = False
     pose_starts: tuple[int, ...] = STARTS
+    recent: tuple[FloatArray, ...] = ()
 
     @classmethod
     def from_scene(cls, robot: Robot, scene: Scene, options: PlanOptions) -> Problem:

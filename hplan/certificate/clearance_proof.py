@@ -52,7 +52,7 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.deadline import check_deadline
 from hplan.base.kernels import kernel
 from hplan.certificate.motion_bound import at_rows, motion_of_movers, with_obstacles
-from hplan.collision.coal_boxes import PairBoxes, box_separation, joints_as_pinocchio
+from hplan.collision.coal_boxes import HullWork, PairBoxes, box_separation, hull_separation, joints_as_pinocchio
 from hplan.collision.coal_scene import CoalScene, Contact
 from hplan.collision.compiled_placements import place_joints
 from hplan.trajectory.cubics import cubic_at
@@ -70,7 +70,7 @@ MOST_TRAVEL = 0.99
 _AHEAD, _TOGETHER = 0.8, 8.0
 
 #: Number of nearest pairs in the first query. A lower bound suffices if it leaves this much spare clearance [m].
-FIRST, FAR = 16, 0.02
+FIRST, FAR = 16, 4e-3
 
 #: Number of queries answered by lower bounds between checks of the deadline.
 _BOUNDED_LOOKS = 256
@@ -187,6 +187,7 @@ class _Search(NamedTuple):
     q: FloatArray
     shown: FloatArray
     at_start: FloatArray
+    hull_work: HullWork
 
 
 class Advancement:
@@ -273,7 +274,7 @@ class Advancement:
         room = np.zeros(len(self.mover_of), dtype=np.int64), np.zeros(bezier.shape[2])
         return _Search(
             bezier, self.mover_of, self.movers, self.pairs, self._checker.boxes, joints, *room, self.shown,
-            self._at_start,
+            self._at_start, HullWork.create(),
         )  # fmt: skip
 
     def first_query(self) -> Look:
@@ -540,8 +541,13 @@ def _put_off_far(count: int, frames: FloatArray, work: FloatArray, place: tuple[
         bound = search.at_start[pair]
         if at > 0.0:
             bound = box_separation(frames, search.boxes, pair, work) - taken_off[pair]
-        spare_clearance = bound - (_linear(sway[mover_of[pair]], at) + kept[pair])
-        shown = search.shown[int(all_pairs[7, pair])]
+        used = _linear(sway[mover_of[pair]], at) + kept[pair]
+        shown, spare_clearance = search.shown[int(all_pairs[7, pair])], bound - used
+        far = max(FAR, 2.0 * shown)
+        if spare_clearance < far < math.inf:
+            # Twice as much makes longer steps.
+            bound = hull_separation(frames, search.boxes, pair, 2.0 * far + used + taken_off[pair], search.hull_work)
+            spare_clearance = max(spare_clearance, bound - taken_off[pair] - used)
         if spare_clearance >= FAR and 0.5 * spare_clearance >= shown:
             _take_down(pair, at, spare_clearance, shown, ahead, search.movers[1, mover_of[pair]], all_pairs)
         else:

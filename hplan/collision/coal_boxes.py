@@ -4,7 +4,7 @@ Each shape lies in an oriented box grown by a radius. Projected on the axes of o
 box along these axes too, and the distance of two boxes with the same axes follows from their gap along each axis. This
 distance minus both radii is at most the distance of the two shapes; the bound is the larger one of the two projections.
 A cloud's box says little, as the floor and a branch overhead are in one: its points bound the distance, found in its
-tree of balls.
+tree of balls. The box of a hull says little beside it: `hull_separation` takes the hull itself.
 `hplan.collision.compiled_placements` places the joints, so a query does not wait for Pinocchio.
 """
 
@@ -14,17 +14,21 @@ import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
+import coal
 import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, IntArray, TableArray, frozen
-from hplan.base.kernels import inline, kernel
+from hplan.base.kernels import any_int, inline, kernel
 from hplan.collision.coal_arm import ArmParts
+from hplan.collision.coal_shapes import beyond_geometry
 from hplan.collision.compiled_bodies import joint_table
 from hplan.collision.compiled_placements import place_joints
 from hplan.errors import RobotFileError
 from hplan.geometry.cloud import Cloud
-from hplan.geometry.vectors import Vector
+from hplan.geometry.convex_distance import NEAREST, WORK, Wanted, core_distance, corner_table
+from hplan.geometry.sweep import STILL
+from hplan.geometry.vectors import Pose, Vector, sub
 from hplan.robot.model import Robot, made_once
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 
@@ -44,8 +48,32 @@ BOX = np.dtype(
 #: A ball of a cloud's tree at least this fraction of the minimum distance away is not opened, and bounds the distance.
 _NEARLY: Final = 0.9
 
+#: Relative tolerances of distances from a leaf as a whole, and from a point.
+_ROUGH: Final = 1e-2
+_FINE: Final = 1e-3
+
+#: A hull without a table of neighbours: all corners are compared.
+_NO_TABLE: Final = any_int(0)
+
 #: Radius of a box around an unbounded shape [m]: finite, so that an infinite distance may be subtracted from a bound.
 ANYWHERE: Final = 1e300
+
+
+class HullWork(NamedTuple):
+    """Buffers of `hull_separation`.
+
+    Attributes:
+        placed: (12,) a placed box.
+        near: (WORK,) buffer of `core_distance`.
+    """
+
+    placed: FloatArray
+    near: FloatArray
+
+    @classmethod
+    def create(cls) -> HullWork:
+        """New buffers."""
+        return cls(np.zeros(12), np.zeros(WORK))
 
 
 class PairBoxes(NamedTuple):
@@ -56,7 +84,10 @@ class PairBoxes(NamedTuple):
         sides: (pairs, 2) indices of both boxes of each pair.
         trees: (n, 2) first node of the cloud in each box, and one past its last; the same if there is none.
         nodes: (m, 7) trees of the clouds, as in `hplan.geometry.cloud.Cloud`, one after the other.
-        points: (k, 3) their points [m].
+        points: (3 k,) coordinates of their points [m].
+        spans: (bodies, 3) range of the corners of the hull in each body's box, and its table, as `Span`; the same ends
+            if the box, grown by its radius, is the body.
+        corners: Coordinates of the hulls' corners in the frames of their joints, and tables.
     """
 
     boxes: TableArray
@@ -64,20 +95,27 @@ class PairBoxes(NamedTuple):
     trees: IntArray
     nodes: FloatArray
     points: FloatArray
+    spans: IntArray
+    corners: FloatArray
 
     @classmethod
-    def join(cls, bodies: TableArray, solids: Sequence[Solid], boxes: TableArray, sides: IntArray) -> PairBoxes:
-        """Join the boxes of an arm's bodies with those of solids, and the clouds among these."""
+    def join(
+        cls, arm: tuple[TableArray, IntArray, FloatArray], solids: Sequence[Solid], boxes: TableArray, sides: IntArray
+    ) -> PairBoxes:
+        """Join the boxes of an arm's bodies (`boxes_about`) with those of solids, and the clouds among these."""
+        bodies, spans, corners = arm
         trees = np.zeros((len(bodies) + len(solids), 2), dtype=np.int64)
-        nodes, points, first, begin = [np.empty((0, 7))], [np.empty((0, 3))], 0, 0
+        nodes, points, first, begin = [np.empty((0, 7))], [np.empty(0)], 0, 0
         for number, solid in enumerate(solids, start=len(bodies)):
             if isinstance(solid, Cloud) and len(solid.tree):
                 trees[number] = first, first + len(solid.tree)
                 nodes.append(solid.tree + np.array([begin, begin, first, 0.0, 0.0, 0.0, 0.0]))
-                points.append(solid.core)
+                points.append(solid.core.ravel())
                 first, begin = first + len(solid.tree), begin + len(solid.core)
         joined = frozen(np.concatenate([bodies, boxes]))
-        return cls(joined, sides, frozen(trees), frozen(np.concatenate(nodes)), frozen(np.concatenate(points)))
+        return cls(
+            joined, sides, frozen(trees), frozen(np.concatenate(nodes)), frozen(np.concatenate(points)), spans, corners
+        )
 
 
 @made_once
@@ -99,20 +137,31 @@ def joints_as_pinocchio(robot: Robot) -> TableArray:
     return joints
 
 
-def boxes_about(parts: ArmParts) -> TableArray:
-    """(bodies,) boxes around an arm's `all_shapes`, in their joints' frames."""
+def boxes_about(parts: ArmParts) -> tuple[TableArray, IntArray, FloatArray]:
+    """Boxes around an arm's `all_shapes`, in their joints' frames.
+
+    Returns:
+        (bodies,) boxes, and the hulls in them: (bodies, 3) `spans` and their `corners`, as in `PairBoxes`.
+    """
     dof, boxes = parts.robot.dof, np.zeros(len(parts.all_shapes), BOX)
-    for box, shape, bare in zip(boxes, parts.all_shapes, parts.bare_shapes, strict=True):
-        centre, half = bare.core
-        place: pin.SE3 = shape.placement
+    spans, corners, first = np.zeros((len(boxes), 3), dtype=np.int64), [np.empty(0)], 0
+    for number, (shape, bare) in enumerate(zip(parts.all_shapes, parts.bare_shapes, strict=True)):
+        box, (centre, half), place = boxes[number], bare.core, shape.placement
         box["rotation"], box["centre"] = place.rotation.ravel(), place.act(centre)
         box["half"], box["radius"] = half, bare.radius + bare.rounding
         box["joint"] = (shape.parentJoint - 1) % (dof + 1)
-    return frozen(boxes)
+        if isinstance(bare.geometry, coal.ConvexBase):
+            hull = bare.corners @ place.rotation.T + place.translation
+            end = first + hull.size
+            table = corner_table(hull, first, end)
+            spans[number] = first, end, end if len(table) else 0
+            corners += [hull.ravel(), table]
+            first = end + len(table)
+    return frozen(boxes), frozen(spans), frozen(np.concatenate(corners))
 
 
 def boxes_about_solids(solids: Sequence[Solid], dof: int) -> TableArray:
-    """(n,) boxes around the obstacles, never too small by rounding errors."""
+    """(n,) boxes around the obstacles as coal has them, never too small by rounding errors."""
     boxes = np.zeros(len(solids), BOX)
     boxes["joint"], boxes["rotation"] = dof, np.eye(3).ravel()
     capsules = [number for number, solid in enumerate(solids) if type(solid) is Capsule]
@@ -131,7 +180,8 @@ def boxes_about_solids(solids: Sequence[Solid], dof: int) -> TableArray:
         else:
             core = solid.core
             low, high = core.min(axis=0), core.max(axis=0)
-            box["centre"], box["half"], box["radius"] = 0.5 * (low + high), 0.5 * (high - low), solid.rounding
+            box["centre"], box["half"] = 0.5 * (low + high), 0.5 * (high - low)
+            box["radius"] = solid.rounding - beyond_geometry(solid)
     _stand_along(boxes, capsules, np.array([solids[k].core for k in capsules]))
     size = np.abs(np.concatenate([boxes["centre"], boxes["half"]], axis=1)).sum(axis=1)
     boxes["radius"] = boxes["radius"] * (1.0 + 1e-12) + 1e-12 * (1.0 + size)
@@ -184,13 +234,7 @@ def box_separation(frames: FloatArray, all_boxes: PairBoxes, pair: int, work: Fl
     """
     boxes, both = all_boxes.boxes, all_boxes.sides[pair]
     for side in range(2):
-        box, placed = boxes[both[side]], work[side]
-        frame, rotation, centre = frames[box.joint], box.rotation, box.centre
-        for r in range(3):
-            x, y, z = frame[3 * r], frame[3 * r + 1], frame[3 * r + 2]
-            for c in range(3):
-                placed[3 * r + c] = x * rotation[c] + y * rotation[3 + c] + z * rotation[6 + c]
-            placed[9 + r] = x * centre[0] + y * centre[1] + z * centre[2] + frame[9 + r]
+        _place_box(frames, boxes, both[side], work[side])
     largest = 0.0
     for side in range(2):
         one, other = work[side], work[1 - side]
@@ -215,6 +259,77 @@ def box_separation(frames: FloatArray, all_boxes: PairBoxes, pair: int, work: Fl
 
 
 @kernel
+def _place_box(frames: FloatArray, boxes: TableArray, number: int, placed: FloatArray) -> None:
+    """Write rotation and centre of a box in the frame of the base, (12,)."""
+    box = boxes[number]
+    frame, rotation, centre = frames[box.joint], box.rotation, box.centre
+    for r in range(3):
+        x, y, z = frame[3 * r], frame[3 * r + 1], frame[3 * r + 2]
+        for c in range(3):
+            placed[3 * r + c] = x * rotation[c] + y * rotation[3 + c] + z * rotation[6 + c]
+        placed[9 + r] = x * centre[0] + y * centre[1] + z * centre[2] + frame[9 + r]
+
+
+@kernel
+def hull_separation(frames: FloatArray, all_boxes: PairBoxes, pair: int, enough: float, work: HullWork) -> float:
+    """Lower bound of the distance of a hull from a cloud [m]; -`ANYWHERE` unless positive, and for other pairs.
+
+    The hull is compared with the hulls of the leaves of the cloud's tree that are near its box, and with their points.
+
+    Args:
+        frames: (dof + 1, 12) frames of joints and base, as `place_joints` writes them.
+        all_boxes: The boxes of all pairs.
+        pair: Index of the pair.
+        enough: The bound is at most this [m].
+        work: Buffers.
+    """
+    boxes, nodes, points, body = all_boxes.boxes, all_boxes.nodes, all_boxes.points, all_boxes.sides[pair, 0]
+    number, end = all_boxes.trees[all_boxes.sides[pair, 1]]
+    if body >= len(all_boxes.spans) or number == end:
+        return -ANYWHERE
+    span = all_boxes.spans[body, 0], all_boxes.spans[body, 1], all_boxes.spans[body, 2]
+    if span[0] == span[1]:
+        return -ANYWHERE
+    placed, near = work.placed, work.near
+    _place_box(frames, boxes, body, placed)
+    half, pose, middle = boxes[body].half, _pose(frames[boxes[body].joint]), (placed[9], placed[10], placed[11])
+    radii = boxes[body].radius + boxes[all_boxes.sides[pair, 1]].radius
+    if radii >= ANYWHERE:
+        return -ANYWHERE
+    least = enough + radii
+    while number < end:
+        centre = nodes[number, 3], nodes[number, 4], nodes[number, 5]
+        following = int(nodes[number, 2])
+        if _from_box(placed, half, centre) - nodes[number, 6] * (1.0 + 1e-12) >= least:
+            number = following
+            continue
+        if following == number + 1:
+            first, last = 3 * int(nodes[number, 0]), 3 * int(nodes[number, 1])
+            near[NEAREST], near[NEAREST + 1], near[NEAREST + 2] = sub(middle, centre)
+            wanted, lot = Wanted(least, least, _ROUGH, 0.0, STILL), (first, last, _NO_TABLE)
+            if core_distance(all_boxes.corners, span, pose, points, lot, wanted, near) < least:
+                for p in range(first, last, 3):
+                    point = points[p], points[p + 1], points[p + 2]
+                    if _from_box(placed, half, point) < least:
+                        near[NEAREST], near[NEAREST + 1], near[NEAREST + 2] = sub(middle, point)
+                        wanted, lot = Wanted(least, -math.inf, _FINE, 0.0, STILL), (p, p + 3, _NO_TABLE)
+                        least = min(least, core_distance(all_boxes.corners, span, pose, points, lot, wanted, near))
+        number += 1
+    # Rounding errors never make it too large.
+    gap: float = least * (1.0 - 1e-12) - radii - 1e-12
+    return gap if gap > 0.0 else -ANYWHERE
+
+
+@inline
+def _pose(frame: FloatArray) -> Pose:
+    """Pose of a joint's frame, (12,)."""
+    return (
+        frame[0], frame[1], frame[2], frame[3], frame[4], frame[5],
+        frame[6], frame[7], frame[8], frame[9], frame[10], frame[11],
+    )  # fmt: skip
+
+
+@kernel
 def _cloud_separation(placed: FloatArray, half: FloatArray, all_boxes: PairBoxes, first: int, end: int) -> float:
     """Lower bound of the distance of a placed box from a cloud's points, in the frame of the base [m].
 
@@ -236,7 +351,7 @@ def _cloud_separation(placed: FloatArray, half: FloatArray, all_boxes: PairBoxes
             continue
         if following == number + 1:
             for p in range(int(nodes[number, 0]), int(nodes[number, 1])):
-                least = min(least, _from_box(placed, half, (points[p, 0], points[p, 1], points[p, 2])))
+                least = min(least, _from_box(placed, half, (points[3 * p], points[3 * p + 1], points[3 * p + 2])))
         number += 1
     return min(least, unopened)
 

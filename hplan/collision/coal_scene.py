@@ -540,7 +540,7 @@ class CoalScene:
             solids["radius"][list(self.moving.numbers)] = ANYWHERE
         mover, solid = np.divmod(np.arange(self._beyond.size), max(count, 1))
         of_own = parts.movers[0][len(parts.shapes) :]
-        sides = np.concatenate([np.column_stack([mover, len(bodies) + solid]), of_own])
+        sides = np.concatenate([np.column_stack([mover, len(bodies[0]) + solid]), of_own])
         return PairBoxes.join(bodies, obstacles, solids, sides)
 
     def lower_bounds(self, q: FloatArray, pairs: IntArray) -> FloatArray:

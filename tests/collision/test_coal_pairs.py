@@ -17,7 +17,7 @@ from hplan.collision.coal_shapes import capsule_shapes, solid_shape
 from hplan.collision.compiled_bodies import joint_table
 from hplan.collision.compiled_clearance import is_box_beyond, off_body, off_row
 from hplan.collision.compiled_obstacles import BOX, HULL, OBSTACLE
-from hplan.collision.compiled_placements import PLACED
+from hplan.collision.compiled_placements import PLACED, place_joints
 from hplan.errors import RobotFileError
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.rotation import rpy_rotation
@@ -143,6 +143,30 @@ def test_bounds_of_clouds_are_those_of_their_points(robot):
         close += int((bounds > 0.7 * distances)[of_clouds].sum())
     assert of_clouds.sum() >= 2
     assert close > 0.8 * 20 * of_clouds.sum()
+
+
+def test_bounds_of_hulls_among_clouds_are_close_to_the_distances():
+    arm, rng, close = load_robot("panda"), np.random.default_rng(5), 0
+    sheet = rng.uniform((0.3, -0.6, 0.2), (0.35, 0.6, 0.9), (3000, 3))
+    clouds = [Cloud.from_points("sheet", sheet, 0.004), Cloud.from_points("few", rng.uniform(-0.6, 0.6, (7, 3)), 0.05)]
+    checker = CoalScene(arm, [*clouds, *others(rng)])
+    boxes, joints = checker.boxes, coal_boxes.joints_as_pinocchio(arm)
+    names = np.array([checker.contact(*pair, 0.0).obstacle for pair in checker.pairs])
+    # Others have boxes that say as much.
+    is_hull = np.diff(boxes.spans[boxes.sides[:, 0], :2], axis=1)[:, 0] > 0
+    asked, work = is_hull & np.isin(names, ["sheet", "few"]), coal_boxes.HullWork.create()
+    frames = np.empty((arm.dof + 1, 12))
+    for q in rng.uniform(arm.lower, arm.upper, (20, arm.dof)):
+        distances = checker.pair_distances(q) + checker.taken_off
+        place_joints(q, joints, frames)
+        for enough in (0.05, 3.0):
+            bounds = np.array([coal_boxes.hull_separation(frames, boxes, k, enough, work) for k in range(len(names))])
+            assert (bounds <= np.minimum(distances, enough) + checker.distance_errors + 1e-6 * np.abs(distances)).all()
+            assert (bounds[~asked] < 0.0).all()
+            apart = asked & (distances > 1e-3)
+            assert (bounds[apart] > 0.98 * np.minimum(distances, enough)[apart]).all()
+            close += int((distances[apart] < enough).sum())
+    assert close > 100
 
 
 @pytest.mark.parametrize("name", ["toy", "lift"])

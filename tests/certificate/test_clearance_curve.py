@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from planned import on_cubics
 from toy_urdf import urdf
 
-from hplan.certificate.certificate import Certificate, all_of, certify
+from hplan.certificate.certificate import Certificate, all_of, certificate_of_part, certify
 from hplan.certificate.clearance_curve import ClearanceCurve, ProvedMotion
 from hplan.certificate.limit_use import limit_use
 from hplan.collision.coal_scene import CoalScene
@@ -167,6 +168,35 @@ def test_motion_backwards_has_the_curve_backwards(picked: Any) -> None:
     np.testing.assert_allclose(
         np.interp(clock, both.time, both.distance_m), np.interp(clock, there.time, there.distance_m), atol=1e-6
     )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_part_of_a_motion_has_its_part_of_the_curve(picked: Any, seed: int) -> None:
+    whole, time = picked.certificate, picked.trajectory.time
+    begin_s, end_s = np.sort(np.random.default_rng(400 + seed).choice(time, 2, replace=False)).tolist()
+    for certificate in (whole, whole.reversal):
+        part = certificate_of_part(certificate, begin_s, end_s)
+        assert part is not None
+        assert part.verified
+        curve, of_whole = part.clearance_curve, certificate.clearance_curve
+        assert curve is not None
+        assert of_whole is not None
+        assert curve.time[-1] == pytest.approx(end_s - begin_s, abs=1e-9)
+        clock = np.linspace(0.0, end_s - begin_s, 300)
+        seen, expected = (
+            np.interp(clock + at, each.time, each.distance_m) for each, at in ((curve, 0.0), (of_whole, begin_s))
+        )
+        np.testing.assert_allclose(seen, expected, atol=1e-2)
+        assert whole.min_clearance_m <= part.min_clearance_m <= curve.clearance_m.min()
+        if certificate is whole:
+            check_against_coal(part, step=5e-3)
+
+
+def test_part_without_segments_and_of_what_is_not_verified_has_no_certificate(picked: Any) -> None:
+    time = picked.trajectory.time
+    assert certificate_of_part(picked.certificate, time[9], time[9]) is None
+    for other in ({"verified": False}, {"subject": None}):
+        assert certificate_of_part(replace(picked.certificate, **other), 0.0, time[-1]) is None
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -139,6 +139,18 @@ def test_first_splice_stops_the_arm_and_is_made_faster_while_it_runs(robot, arou
     assert planner.last.is_improved
 
 
+def test_splice_goes_back_along_the_motion_around_an_obstacle(robot, around, monkeypatch):
+    planner, before = around, around.last
+    monkeypatch.setattr("hplan.planning.path_finder.tree_path", None)  # no trees are needed
+    result = planner.replan(at=0.9 * before.trajectory.duration)
+    assert_spliced(robot, planner.scene, before, result)
+    assert result.motion.origin == "recent"
+    # A plan does not depend on earlier ones.
+    planner.aim(start=Start(joints_deg=(35.0, 45.0, 40.0, 30.0)))
+    with pytest.raises(TypeError):
+        planner.plan(begins_s=10.0)
+
+
 def test_faster_motion_that_is_not_found_in_time_is_searched_again(around, monkeypatch):
     planner, now = around, 0.7 * around.last.trajectory.duration
     first = planner.replan(at=now, now=now)

@@ -366,9 +366,11 @@ class Planner:
         self._check_clouds(scene, options, begins_s)
         self._check_known(scene)
         shown = scene if math.isnan(begin) else scene.starting_at(begin)
+        recent = () if before is None else self._recent
         if before is not None and before.problem.robot.attached != scene.attached:
             before = None  # its torques are those of another load
-        found = solve_scene(Problem.from_scene(self.robot, shown, options), before=before)
+        problem = replace(Problem.from_scene(self.robot, shown, options), recent=recent)
+        found = solve_scene(problem, before=before)
         self._remember(found)
         self.last = self._with_ages(replace(found, begins_s=begin), scene, begins_s)
         return self.last

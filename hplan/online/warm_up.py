@@ -105,7 +105,8 @@ def _is_done(robot: Robot, start: FloatArray, goal: FloatArray, blocked: bool) -
             for number, center in enumerate([middle, *(_FAR * middle + rng.normal(0.0, _SPREAD, (_MANY, 3)))])
         ),
     )
-    planner = Planner(robot, scene if blocked else scene.with_obstacles(()))
+    among = scene if blocked else scene.with_obstacles(())
+    planner = Planner(robot, among)
     try:
         trajectory = planner.plan(begins_s=0.0).trajectory
     except HplanError:
@@ -122,6 +123,11 @@ def _is_done(robot: Robot, start: FloatArray, goal: FloatArray, blocked: bool) -
         planner.replan(at=0.3 * seconds, now=0.1 * seconds)
     with suppress(HplanError):
         planner.stop_at(0.4 * seconds, now=0.2 * seconds)
+    with suppress(HplanError):  # back along the motion
+        planner = Planner(robot, among, PlanOptions(effort="quick", at_once=True))
+        seconds = planner.plan(begins_s=0.0).trajectory.duration
+        planner.aim(goal=Goal(joints_rad=scene.start.joints_rad))
+        planner.replan(at=seconds)
     return True
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 import coal
 import numpy as np
@@ -55,6 +55,10 @@ _FINE: Final = 1e-3
 #: A hull without a table of neighbours: all corners are compared.
 _NO_TABLE: Final = any_int(0)
 
+#: Spans and corners of hulls, as in `PairBoxes`, and those without clouds.
+Hulls: TypeAlias = tuple[IntArray, FloatArray]
+NO_HULLS: Final[Hulls] = frozen(np.zeros((0, 3), dtype=np.int64)), frozen(np.empty(0))
+
 #: Radius of a box around an unbounded shape [m]: finite, so that an infinite distance may be subtracted from a bound.
 ANYWHERE: Final = 1e300
 
@@ -86,7 +90,7 @@ class PairBoxes(NamedTuple):
         nodes: (m, 7) trees of the clouds, as in `hplan.geometry.cloud.Cloud`, one after the other.
         points: (3 k,) coordinates of their points [m].
         spans: (bodies, 3) range of the corners of the hull in each body's box, and its table, as `Span`; the same ends
-            if the box, grown by its radius, is the body.
+            if the box, grown by its radius, is the body. Empty without clouds.
         corners: Coordinates of the hulls' corners in the frames of their joints, and tables.
     """
 
@@ -100,10 +104,9 @@ class PairBoxes(NamedTuple):
 
     @classmethod
     def join(
-        cls, arm: tuple[TableArray, IntArray, FloatArray], solids: Sequence[Solid], boxes: TableArray, sides: IntArray
+        cls, bodies: TableArray, hulls: Hulls, solids: Sequence[Solid], boxes: TableArray, sides: IntArray
     ) -> PairBoxes:
-        """Join the boxes of an arm's bodies (`boxes_about`) with those of solids, and the clouds among these."""
-        bodies, spans, corners = arm
+        """Join the boxes of an arm's bodies with those of solids, and the clouds among these."""
         trees = np.zeros((len(bodies) + len(solids), 2), dtype=np.int64)
         nodes, points, first, begin = [np.empty((0, 7))], [np.empty(0)], 0, 0
         for number, solid in enumerate(solids, start=len(bodies)):
@@ -113,9 +116,7 @@ class PairBoxes(NamedTuple):
                 points.append(solid.core.ravel())
                 first, begin = first + len(solid.tree), begin + len(solid.core)
         joined = frozen(np.concatenate([bodies, boxes]))
-        return cls(
-            joined, sides, frozen(trees), frozen(np.concatenate(nodes)), frozen(np.concatenate(points)), spans, corners
-        )
+        return cls(joined, sides, frozen(trees), frozen(np.concatenate(nodes)), frozen(np.concatenate(points)), *hulls)
 
 
 @made_once
@@ -137,27 +138,30 @@ def joints_as_pinocchio(robot: Robot) -> TableArray:
     return joints
 
 
-def boxes_about(parts: ArmParts) -> tuple[TableArray, IntArray, FloatArray]:
-    """Boxes around an arm's `all_shapes`, in their joints' frames.
-
-    Returns:
-        (bodies,) boxes, and the hulls in them: (bodies, 3) `spans` and their `corners`, as in `PairBoxes`.
-    """
+def boxes_about(parts: ArmParts) -> TableArray:
+    """(bodies,) boxes around an arm's `all_shapes`, in their joints' frames."""
     dof, boxes = parts.robot.dof, np.zeros(len(parts.all_shapes), BOX)
-    spans, corners, first = np.zeros((len(boxes), 3), dtype=np.int64), [np.empty(0)], 0
-    for number, (shape, bare) in enumerate(zip(parts.all_shapes, parts.bare_shapes, strict=True)):
-        box, (centre, half), place = boxes[number], bare.core, shape.placement
+    for box, shape, bare in zip(boxes, parts.all_shapes, parts.bare_shapes, strict=True):
+        centre, half = bare.core
+        place: pin.SE3 = shape.placement
         box["rotation"], box["centre"] = place.rotation.ravel(), place.act(centre)
         box["half"], box["radius"] = half, bare.radius + bare.rounding
         box["joint"] = (shape.parentJoint - 1) % (dof + 1)
+    return frozen(boxes)
+
+
+def hulls_in_boxes(parts: ArmParts) -> Hulls:
+    """Hulls in the boxes around an arm's `all_shapes`: `spans` and `corners`, as in `PairBoxes`."""
+    spans, corners, first = np.zeros((len(parts.all_shapes), 3), dtype=np.int64), [np.empty(0)], 0
+    for span, shape, bare in zip(spans, parts.all_shapes, parts.bare_shapes, strict=True):
         if isinstance(bare.geometry, coal.ConvexBase):
-            hull = bare.corners @ place.rotation.T + place.translation
+            hull = bare.corners @ shape.placement.rotation.T + shape.placement.translation
             end = first + hull.size
             table = corner_table(hull, first, end)
-            spans[number] = first, end, end if len(table) else 0
+            span[:] = first, end, end if len(table) else 0
             corners += [hull.ravel(), table]
             first = end + len(table)
-    return frozen(boxes), frozen(spans), frozen(np.concatenate(corners))
+    return frozen(spans), frozen(np.concatenate(corners))
 
 
 def boxes_about_solids(solids: Sequence[Solid], dof: int) -> TableArray:

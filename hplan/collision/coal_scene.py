@@ -28,9 +28,11 @@ from hplan.collision.coal_arm import (
 )
 from hplan.collision.coal_boxes import (
     ANYWHERE,
+    NO_HULLS,
     PairBoxes,
     boxes_about,
     boxes_about_solids,
+    hulls_in_boxes,
     joints_as_pinocchio,
     lower_bounds,
 )
@@ -43,6 +45,7 @@ from hplan.collision.compliant_solids import maximum_deflection, pushing_links
 from hplan.collision.distance_checker import FAR
 from hplan.collision.self_pairs import required_distances
 from hplan.errors import MovingObstacleError
+from hplan.geometry.cloud import Cloud
 from hplan.robot.model import Robot
 from hplan.robot.upright import UprightTool
 from hplan.scene.obstacle_kind import ContactLimit
@@ -535,13 +538,16 @@ class CoalScene:
         """Bounding boxes of bodies and obstacles; see `coal_boxes`."""
         parts, count, obstacles = self.parts, self.own_first, self._built["obstacles"]
         bodies = self.robot.cache(("boxes", *parts.key), lambda: boxes_about(parts))
+        hulls = NO_HULLS
+        if any(isinstance(solid, Cloud) for solid in obstacles):
+            hulls = self.robot.cache(("hulls", *parts.key), lambda: hulls_in_boxes(parts))
         solids = boxes_about_solids(obstacles, self.robot.dof)
         if self.moving is not None:
             solids["radius"][list(self.moving.numbers)] = ANYWHERE
         mover, solid = np.divmod(np.arange(self._beyond.size), max(count, 1))
         of_own = parts.movers[0][len(parts.shapes) :]
-        sides = np.concatenate([np.column_stack([mover, len(bodies[0]) + solid]), of_own])
-        return PairBoxes.join(bodies, obstacles, solids, sides)
+        sides = np.concatenate([np.column_stack([mover, len(bodies) + solid]), of_own])
+        return PairBoxes.join(bodies, hulls, obstacles, solids, sides)
 
     def lower_bounds(self, q: FloatArray, pairs: IntArray) -> FloatArray:
         """Lower bounds of some `pairs`' distances, (k,) indices -> (k,) [m].

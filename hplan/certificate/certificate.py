@@ -138,6 +138,7 @@ class Certificate:
         digests: Digests of the robot, the scene and the trajectory; None for a part of a motion.
         risk: Bound of the probability that the motion touches anything; None unless `certify` was given a risk.
         subject: The certified motions, for `clearance_curve`; None for a certificate that was made by hand.
+        each: The certificate of each motion of the subject by itself; empty if they do not hold for parts of it.
         nearest_s: Time of `nearest` on the clock of the tracks [s]; None if only the arm moves.
         pair_rules: Pairs of links of the arm, or of a link that turns in place and an obstacle, that do not keep the
             scene's clearance: each with its own rule and its own bound, or not checked; see
@@ -166,6 +167,7 @@ class Certificate:
     clear_until_s: float | None = None
     risk: TouchRisk | None = None
     subject: Subject | None = field(default=None, compare=False, repr=False)
+    each: tuple[Certificate, ...] = field(default=(), compare=False, repr=False)
     pair_rules: tuple[PairRule, ...] = ()
     uncovered_links: tuple[str, ...] = ()
     goal_displacement_m: float | None = None
@@ -212,7 +214,7 @@ class Certificate:
         if self.nearest_s is not None:
             raise MovingObstacleError(None if self.nearest is None else self.nearest.obstacle)
         subject = None if self.subject is None else self.subject.reversal
-        return replace(self, subject=subject, contacts=(), digests=None)
+        return replace(self, subject=subject, each=self.each[::-1], contacts=(), digests=None)
 
 
 # Fifteen parameters: robot, scene and trajectory, and keyword-only options.
@@ -529,9 +531,8 @@ def certify_among(
         goal_displacement_m=None if moved is None else moved.moved_m,
         max_tilt_rad=tilt,
     )
-    if found.verified and last.moving is None and not subject.has_limbs:
-        subject = Subject(((replace(motion, certificate=found), False),))
-    return replace(found, subject=subject)
+    holds_for_parts = found.verified and last.moving is None and not subject.has_limbs
+    return replace(found, subject=subject, each=(found,) if holds_for_parts else ())
 
 
 def certificate_of_part(whole: Certificate, begin_s: float, end_s: float) -> Certificate | None:
@@ -549,13 +550,11 @@ def certificate_of_part(whole: Certificate, begin_s: float, end_s: float) -> Cer
         The certificate; None if the whole is not verified, its subject is unknown, something moves or bends, or the
         part has no segment.
     """
-    if not whole.verified or whole.subject is None:
+    if not whole.verified or whole.subject is None or len(whole.each) < len(whole.subject.motions):
         return None
-    subject = whole.subject.cut(begin_s, end_s)
-    parts = [motion.certificate for motion, _ in subject.motions if motion.certificate is not None]
-    if not parts or len(parts) < len(subject.motions):
-        return None
-    return replace(all_of(parts), checks=0, subject=subject)
+    subject, numbers = whole.subject.cut(begin_s, end_s)
+    each = tuple(whole.each[number] for number in numbers)
+    return replace(all_of(each), checks=0, subject=subject, each=each) if each else None
 
 
 def rest_violations(
@@ -616,6 +615,7 @@ def all_of(parts: Sequence[Certificate]) -> Certificate:
     if len(parts) == 1:
         return parts[0]
     subject, moved = joined_subjects(part.subject for part in parts), None
+    each = tuple(alone for part in parts for alone in part.each) if all(part.each for part in parts) else ()
     if subject is not None and subject.has_limbs:
         moved = goal_displacement(subject)
     violations = dict.fromkeys(violation for part in parts for violation in part.violations)
@@ -628,6 +628,7 @@ def all_of(parts: Sequence[Certificate]) -> Certificate:
         checks=sum(part.checks for part in parts),
         violations=tuple(violations),
         subject=subject,
+        each=each,
         nearest_s=_nearest_s([part.nearest for part in parts], [part.nearest_s for part in parts]),
         clear_until_s=parts[-1].clear_until_s if all(part.verified for part in parts) else None,
         pair_rules=joined_rules(part.pair_rules for part in parts),

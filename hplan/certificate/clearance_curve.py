@@ -22,7 +22,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,9 +35,6 @@ from hplan.certificate.segment_contacts import Push, SegmentContacts
 from hplan.collision.coal_scene import CoalScene
 from hplan.robot.model import Robot
 from hplan.trajectory.trajectory import SAME_TIME, Trajectory
-
-if TYPE_CHECKING:
-    from hplan.certificate.certificate import Certificate
 
 #: Travel between two stations: a fraction of the distance of the nearest pair, and its bounds [m].
 _STATION_FRACTION, _STATION_M = 0.08, (1e-3, 0.05)
@@ -137,14 +134,12 @@ class ProvedMotion(Record):
         trajectory: The motion.
         stretches: The proofs of its ranges, in order.
         clearance: Required clearance [m].
-        certificate: Certificate of the motion by itself; None if it does not hold for its parts.
     """
 
     robot: Robot
     trajectory: Trajectory
     stretches: tuple[ProvedStretch, ...]
     clearance: float
-    certificate: Certificate | None = None
 
     @cached_property
     def curve(self) -> ClearanceCurve:
@@ -203,17 +198,19 @@ class Subject(Record):
         """The sequence in reverse."""
         return Subject(tuple((motion, not backwards) for motion, backwards in self.motions[::-1]))
 
-    def cut(self, begin_s: float, end_s: float) -> Subject:
-        """The sequence between two of its samples, by their times."""
-        found, offset_s = list[tuple[ProvedMotion, bool]](), 0.0
-        for motion, backwards in self.motions:
+    def cut(self, begin_s: float, end_s: float) -> tuple[Subject, list[int]]:
+        """The sequence between two of its samples, by their times, and the numbers of the motions in it."""
+        found, numbers, offset_s = list[tuple[ProvedMotion, bool]](), list[int](), 0.0
+        for number, (motion, backwards) in enumerate(self.motions):
             duration_s = motion.trajectory.duration
             first_s, last_s = begin_s - offset_s, end_s - offset_s
             span = (duration_s - last_s, duration_s - first_s) if backwards else (first_s, last_s)
             part = motion.cut(*span)
-            found += [] if part is None else [(part, backwards)]
+            if part is not None:
+                found.append((part, backwards))
+                numbers.append(number)
             offset_s += duration_s
-        return Subject(tuple(found))
+        return Subject(tuple(found)), numbers
 
     @cached_property
     def curve(self) -> ClearanceCurve:

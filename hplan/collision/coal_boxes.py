@@ -21,7 +21,7 @@ import pinocchio as pin
 from hplan.base.arrays import FloatArray, IntArray, TableArray, frozen
 from hplan.base.kernels import any_int, inline, kernel
 from hplan.collision.coal_arm import ArmParts
-from hplan.collision.coal_shapes import beyond_geometry
+from hplan.collision.coal_cloud import SPECK_RADIUS_M
 from hplan.collision.compiled_bodies import joint_table
 from hplan.collision.compiled_placements import place_joints
 from hplan.errors import RobotFileError
@@ -185,7 +185,7 @@ def boxes_about_solids(solids: Sequence[Solid], dof: int) -> TableArray:
             core = solid.core
             low, high = core.min(axis=0), core.max(axis=0)
             box["centre"], box["half"] = 0.5 * (low + high), 0.5 * (high - low)
-            box["radius"] = solid.rounding - beyond_geometry(solid)
+            box["radius"] = SPECK_RADIUS_M if isinstance(solid, Cloud) else solid.rounding
     _stand_along(boxes, capsules, np.array([solids[k].core for k in capsules]))
     size = np.abs(np.concatenate([boxes["centre"], boxes["half"]], axis=1)).sum(axis=1)
     boxes["radius"] = boxes["radius"] * (1.0 + 1e-12) + 1e-12 * (1.0 + size)

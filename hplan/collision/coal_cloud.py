@@ -31,9 +31,10 @@ from hplan.geometry.shape_outline import coal_distance
 from hplan.geometry.vectors import Vector
 from hplan.scene.obstacles import Capsule, Solid
 
-#: Size of the triangle that represents a point [m]. For triangles degenerated to points, coal's distance from a ball is
-#: wrong.
+#: Size of the triangle that represents a point, and radius of a ball around it [m]. For triangles degenerated to
+#: points, coal's distance from a ball is wrong.
 _SPECK: Final = 1e-7
+SPECK_RADIUS_M: Final = 2.0 * _SPECK
 _SPECK_CORNERS: Final = _SPECK * np.array([[1.0, 0.0, 0.5], [-0.5, 0.75, -0.25], [-0.5, -0.75, -0.25]])
 
 #: Radius of a capsule that represents its axis [m].
@@ -221,9 +222,9 @@ def nearest_block(
         least = math.inf
         for p in range(int(nodes[leaf, 0]), int(nodes[leaf, 1])):
             point = points[p, 0], points[p, 1], points[p, 2]
-            if not is_behind(plane, point, limit + 2.0 * _SPECK):
+            if not is_behind(plane, point, limit + SPECK_RADIUS_M):
                 least = min(least, _square_from_box(rotation, translation, core, point))
-        if math.sqrt(least) * (1.0 - 1e-12) - 2.0 * _SPECK < limit:
+        if math.sqrt(least) * (1.0 - 1e-12) - SPECK_RADIUS_M < limit:
             return bound, leaf
         after = bound, leaf
 
@@ -261,7 +262,7 @@ def _next_leaf(
         while height > 0 and number >= above[height - 1, 0]:
             height -= 1
         node = nodes[number]
-        if is_behind(plane, (node[3], node[4], node[5]), node[6] + limit + 2.0 * _SPECK):
+        if is_behind(plane, (node[3], node[4], node[5]), node[6] + limit + SPECK_RADIUS_M):
             number = int(node[2])
             continue
         bound = _ball_bound(rotation, translation, core, node)
@@ -298,7 +299,7 @@ def _ball_bound(rotation: FloatArray, translation: FloatArray, core: FloatArray,
     """Lower bound of the distance of a placed box from the points of a node [m]."""
     square = _square_from_box(rotation, translation, core, (node[3], node[4], node[5]))
     # Rounding errors, and the triangles' size, never make a ball too small.
-    bound: float = math.sqrt(square) - (node[6] * (1.0 + 1e-12) + 2.0 * _SPECK)
+    bound: float = math.sqrt(square) - (node[6] * (1.0 + 1e-12) + SPECK_RADIUS_M)
     return bound
 
 

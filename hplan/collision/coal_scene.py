@@ -584,8 +584,9 @@ class CoalScene:
         pairs = self.meeting_pairs if len(self.meeting_pairs) > first_asked else np.arange(len(kept))
         bounds, kept = self.lower_bounds(q, pairs) - kept[pairs], kept[pairs]
         first = np.sort(np.argpartition(bounds, first_asked)[:first_asked])
-        least = (self.distances_of(pairs[first]) - kept[first]).min()
-        asked = np.flatnonzero(bounds <= least + ties.RASTER)
+        near = self.distances_of(pairs[first]) - kept[first]
+        # Of the nearest one, coal's distance may be below its bound by coal's error.
+        asked = np.union1d(first[near.argmin()], np.flatnonzero(bounds <= near.min() + ties.RASTER))
         found = self.distances_of(pairs[asked])
         place = ties.argmin(found - kept[asked])
         return int(pairs[asked[place]]), float(found[place])

@@ -192,6 +192,19 @@ def test_nearest_pair_is_that_of_all_distances(robot):
         assert beyond[pair] == pytest.approx(beyond.min(), abs=1e-9)
 
 
+def test_nearest_pair_among_clouds_is_that_of_all_distances(robot):
+    """Coal measures to tiny triangles in place of points, which are nearer than these."""
+    rng = np.random.default_rng(8)
+    for q in rng.uniform(robot.lower, robot.upper, (40, robot.dof)):
+        places = rng.normal(0.0, 0.3, (40, 30, 3)) + rng.uniform(-2.0, 2.0, (40, 1, 3))
+        solids = [Cloud.from_points(f"cloud {k}", points, 0.01) for k, points in enumerate(places)]
+        checker = CoalScene(robot, solids)
+        pair, distance = checker.nearest_pair(q, np.zeros(len(checker.pairs)))
+        every = checker.pair_distances(q)
+        assert distance == pytest.approx(every.min(), abs=1e-6)
+        assert every[pair] == pytest.approx(distance, abs=1e-9)
+
+
 def test_capsules_placed_together_are_those_placed_alone():
     rng = np.random.default_rng(5)
     ends = rng.normal(size=(60, 2, 3))

@@ -52,9 +52,10 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.deadline import check_deadline
 from hplan.base.kernels import kernel
 from hplan.certificate.motion_bound import at_rows, motion_of_movers, with_obstacles
-from hplan.collision.coal_boxes import HullWork, PairBoxes, box_separation, hull_separation, joints_as_pinocchio
+from hplan.collision.coal_boxes import PairBoxes, box_separation, hull_separation, joints_as_pinocchio
 from hplan.collision.coal_scene import CoalScene, Contact
 from hplan.collision.compiled_placements import place_joints
+from hplan.geometry.convex_distance import WORK
 from hplan.trajectory.cubics import cubic_at
 
 #: Spare clearance below which the proof gives up [m]: its steps, half of it, would become too small.
@@ -187,7 +188,6 @@ class _Search(NamedTuple):
     q: FloatArray
     shown: FloatArray
     at_start: FloatArray
-    hull_work: HullWork
 
 
 class Advancement:
@@ -274,7 +274,7 @@ class Advancement:
         room = np.zeros(len(self.mover_of), dtype=np.int64), np.zeros(bezier.shape[2])
         return _Search(
             bezier, self.mover_of, self.movers, self.pairs, self._checker.boxes, joints, *room, self.shown,
-            self._at_start, HullWork.create(),
+            self._at_start,
         )  # fmt: skip
 
     def first_query(self) -> Look:
@@ -436,7 +436,7 @@ def _record_query(
     nearest, which, count, looks = math.inf, 0, 0, 0
     if len(pairs):
         nearest, which = distances[least] + search.pairs[5, pairs[least]], pairs[least]
-    frames, work = np.empty((bezier.shape[2] + 1, 12)), np.empty((2, 12))
+    frames, work = np.empty((bezier.shape[2] + 1, 12)), np.empty((2, WORK))
     while is_far and count == 0 and looks < _BOUNDED_LOOKS:
         count, at = _next_query(search)
         if at == math.inf:
@@ -526,7 +526,7 @@ def _put_off_far(count: int, frames: FloatArray, work: FloatArray, place: tuple[
     Args:
         count: Number of pairs of the query.
         frames: Frames of joints and base, as in `box_separation`.
-        work: Buffer, as in `box_separation`.
+        work: Buffer, as in `hull_separation`.
         place: Place of the query, and the look-ahead fraction.
 
     Returns:
@@ -546,7 +546,7 @@ def _put_off_far(count: int, frames: FloatArray, work: FloatArray, place: tuple[
         far = max(FAR, 2.0 * shown)
         if spare_clearance < far < math.inf:
             # Twice as much makes longer steps.
-            bound = hull_separation(frames, search.boxes, pair, 2.0 * far + used + taken_off[pair], search.hull_work)
+            bound = hull_separation(frames, search.boxes, pair, 2.0 * far + used + taken_off[pair], work)
             spare_clearance = max(spare_clearance, bound - taken_off[pair] - used)
         if spare_clearance >= FAR and 0.5 * spare_clearance >= shown:
             _take_down(pair, at, spare_clearance, shown, ahead, search.movers[1, mover_of[pair]], all_pairs)

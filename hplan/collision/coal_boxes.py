@@ -19,16 +19,17 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, IntArray, TableArray, frozen
-from hplan.base.kernels import any_int, inline, kernel
+from hplan.base.kernels import inline, kernel
 from hplan.collision.coal_arm import ArmParts
 from hplan.collision.coal_cloud import SPECK_RADIUS_M
 from hplan.collision.compiled_bodies import joint_table
+from hplan.collision.compiled_clearance import NO_TABLE, pose_of
 from hplan.collision.compiled_placements import place_joints
 from hplan.errors import RobotFileError
 from hplan.geometry.cloud import Cloud
-from hplan.geometry.convex_distance import NEAREST, WORK, Wanted, core_distance, corner_table
+from hplan.geometry.convex_distance import NEAREST, Wanted, core_distance, corner_table
 from hplan.geometry.sweep import STILL
-from hplan.geometry.vectors import Pose, Vector, sub
+from hplan.geometry.vectors import Vector, sub
 from hplan.robot.model import Robot, made_once
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 
@@ -52,32 +53,12 @@ _NEARLY: Final = 0.9
 _ROUGH: Final = 1e-2
 _FINE: Final = 1e-3
 
-#: A hull without a table of neighbours: all corners are compared.
-_NO_TABLE: Final = any_int(0)
-
 #: Spans and corners of hulls, as in `PairBoxes`, and those without clouds.
 Hulls: TypeAlias = tuple[IntArray, FloatArray]
 NO_HULLS: Final[Hulls] = frozen(np.zeros((0, 3), dtype=np.int64)), frozen(np.empty(0))
 
 #: Radius of a box around an unbounded shape [m]: finite, so that an infinite distance may be subtracted from a bound.
 ANYWHERE: Final = 1e300
-
-
-class HullWork(NamedTuple):
-    """Buffers of `hull_separation`.
-
-    Attributes:
-        placed: (12,) a placed box.
-        near: (WORK,) buffer of `core_distance`.
-    """
-
-    placed: FloatArray
-    near: FloatArray
-
-    @classmethod
-    def create(cls) -> HullWork:
-        """New buffers."""
-        return cls(np.zeros(12), np.zeros(WORK))
 
 
 class PairBoxes(NamedTuple):
@@ -234,7 +215,7 @@ def box_separation(frames: FloatArray, all_boxes: PairBoxes, pair: int, work: Fl
         frames: (dof + 1, 12) frames of joints and base, as `place_joints` writes them.
         all_boxes: The boxes of all pairs.
         pair: Index of the pair.
-        work: (2, 12) buffer for the rotations and centres of both.
+        work: (2, 12 or more) buffer for the rotations and centres of both.
     """
     boxes, both = all_boxes.boxes, all_boxes.sides[pair]
     for side in range(2):
@@ -275,7 +256,7 @@ def _place_box(frames: FloatArray, boxes: TableArray, number: int, placed: Float
 
 
 @kernel
-def hull_separation(frames: FloatArray, all_boxes: PairBoxes, pair: int, enough: float, work: HullWork) -> float:
+def hull_separation(frames: FloatArray, all_boxes: PairBoxes, pair: int, enough: float, work: FloatArray) -> float:
     """Lower bound of the distance of a hull from a cloud [m]; -`ANYWHERE` unless positive, and for other pairs.
 
     The hull is compared with the hulls of the leaves of the cloud's tree that are near its box, and with their points.
@@ -285,7 +266,7 @@ def hull_separation(frames: FloatArray, all_boxes: PairBoxes, pair: int, enough:
         all_boxes: The boxes of all pairs.
         pair: Index of the pair.
         enough: The bound is at most this [m].
-        work: Buffers.
+        work: (2, WORK) buffer for the placed box, and of `core_distance`.
     """
     boxes, nodes, points, body = all_boxes.boxes, all_boxes.nodes, all_boxes.points, all_boxes.sides[pair, 0]
     number, end = all_boxes.trees[all_boxes.sides[pair, 1]]
@@ -294,9 +275,9 @@ def hull_separation(frames: FloatArray, all_boxes: PairBoxes, pair: int, enough:
     span = all_boxes.spans[body, 0], all_boxes.spans[body, 1], all_boxes.spans[body, 2]
     if span[0] == span[1]:
         return -ANYWHERE
-    placed, near = work.placed, work.near
+    placed, near = work[0], work[1]
     _place_box(frames, boxes, body, placed)
-    half, pose, middle = boxes[body].half, _pose(frames[boxes[body].joint]), (placed[9], placed[10], placed[11])
+    half, pose, middle = boxes[body].half, pose_of(frames, boxes[body].joint), (placed[9], placed[10], placed[11])
     radii = boxes[body].radius + boxes[all_boxes.sides[pair, 1]].radius
     if radii >= ANYWHERE:
         return -ANYWHERE
@@ -310,27 +291,18 @@ def hull_separation(frames: FloatArray, all_boxes: PairBoxes, pair: int, enough:
         if following == number + 1:
             first, last = 3 * int(nodes[number, 0]), 3 * int(nodes[number, 1])
             near[NEAREST], near[NEAREST + 1], near[NEAREST + 2] = sub(middle, centre)
-            wanted, lot = Wanted(least, least, _ROUGH, 0.0, STILL), (first, last, _NO_TABLE)
+            wanted, lot = Wanted(least, least, _ROUGH, 0.0, STILL), (first, last, NO_TABLE)
             if core_distance(all_boxes.corners, span, pose, points, lot, wanted, near) < least:
                 for p in range(first, last, 3):
                     point = points[p], points[p + 1], points[p + 2]
                     if _from_box(placed, half, point) < least:
                         near[NEAREST], near[NEAREST + 1], near[NEAREST + 2] = sub(middle, point)
-                        wanted, lot = Wanted(least, -math.inf, _FINE, 0.0, STILL), (p, p + 3, _NO_TABLE)
+                        wanted, lot = Wanted(least, -math.inf, _FINE, 0.0, STILL), (p, p + 3, NO_TABLE)
                         least = min(least, core_distance(all_boxes.corners, span, pose, points, lot, wanted, near))
         number += 1
     # Rounding errors never make it too large.
     gap: float = least * (1.0 - 1e-12) - radii - 1e-12
     return gap if gap > 0.0 else -ANYWHERE
-
-
-@inline
-def _pose(frame: FloatArray) -> Pose:
-    """Pose of a joint's frame, (12,)."""
-    return (
-        frame[0], frame[1], frame[2], frame[3], frame[4], frame[5],
-        frame[6], frame[7], frame[8], frame[9], frame[10], frame[11],
-    )  # fmt: skip
 
 
 @kernel

@@ -25,6 +25,7 @@ from hplan.planning.problem import Problem
 from hplan.planning.recent_paths import recent_path
 from hplan.planning.rrt_connect import Pairs, tree_path
 from hplan.planning.stages import stage
+from hplan.robot.limits import clock_at_limits
 
 #: The origin of a path: none (start and goal are the same), a straight line, trees, a grid search, an earlier motion
 #: (repaired or unchanged), several earlier motions, or the caller.
@@ -283,11 +284,12 @@ class FirstPaths(PathFinder):
             raise FailuresError(tuple(error for error in proofs if error is not None))
         left = [number for number, error in enumerate(proofs) if error is None]
         pairs, queries = self.tree_budget(problem)
-        known = path_along_recent(problem.with_goals(*left))
+        remaining = problem.with_goals(*left)
+        known = path_along_recent(remaining)
         if known is not None:
             yield known._replace(goal=left[known.goal])
         for seed in range(problem.effort.seed, problem.effort.seed + pairs):
-            path, _ = tree_to_any(problem.with_goals(*left), queries, seed)
+            path, _ = tree_to_any(remaining, queries, seed)
             if path is not None:
                 yield path._replace(goal=left[path.goal])
 
@@ -404,7 +406,7 @@ def path_time(path: FloatArray, velocity: FloatArray) -> float:
 
 def _sample_evenly(path: FloatArray, velocity: FloatArray) -> FloatArray:
     """(k, dof) points of a path, at `PARTS` of its duration."""
-    clock = np.concatenate([[0.0], np.cumsum((np.abs(np.diff(path, axis=0)) / velocity).max(axis=1))])
+    clock = clock_at_limits(path, velocity)
     return np.stack([np.interp(PARTS * clock[-1], clock, joint) for joint in path.T], axis=1)
 
 

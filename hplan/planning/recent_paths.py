@@ -19,6 +19,7 @@ from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, frozen
 from hplan.base.kernels import kernel
 from hplan.planning.problem import Problem
+from hplan.robot.limits import clock_at_limits
 from hplan.robot.model import Robot
 from hplan.trajectory.trajectory import Trajectory
 
@@ -44,12 +45,9 @@ def with_motion(recent: Sequence[FloatArray], trajectory: Trajectory, robot: Rob
         trajectory: The other motion.
         robot: The arm.
     """
-    position = trajectory.position
-    station = np.append(
-        0.0, np.cumsum(np.abs(np.diff(position, axis=0) / robot.velocity_limit).max(axis=1, initial=0.0))
-    )
-    rows = np.unique(np.searchsorted(station, np.linspace(0.0, station[-1], _POINTS)))
-    points, known = frozen(position[rows]), np.array(np.concatenate([np.empty((0, robot.dof)), *recent]))
+    clock = clock_at_limits(trajectory.position, robot.velocity_limit)
+    rows = np.unique(np.searchsorted(clock, np.linspace(0.0, clock[-1], _POINTS)))
+    points, known = frozen(trajectory.position[rows]), np.concatenate([np.empty((0, robot.dof)), *recent])
     apart = ties.on_raster(_times(points, known, robot).min(axis=1, initial=math.inf))
     return (*recent, points)[-_MOTIONS:] if apart.max() > _ADDS_S else tuple(recent)
 

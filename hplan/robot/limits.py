@@ -109,6 +109,11 @@ def least_duration_between(
     return (2.0 * reached - first - last) / acceleration + cruise_s
 
 
+def clock_at_limits(path: FloatArray, velocity: FloatArray) -> FloatArray:
+    """(m,) times at the (m, dof) waypoints of a path at the velocity limits, from its start [s]."""
+    return np.concatenate([[0.0], np.cumsum((np.abs(np.diff(path, axis=0)) / velocity).max(axis=1))])
+
+
 def least_duration(start: FloatArray, goal: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> float:
     """Lower bound on the rest-to-rest duration between two configurations [s].
 

@@ -23,11 +23,12 @@ from hplan.base.kernels import inline, kernel
 from hplan.collision.coal_arm import ArmParts
 from hplan.collision.coal_cloud import SPECK_RADIUS_M
 from hplan.collision.compiled_bodies import joint_table
-from hplan.collision.compiled_clearance import NO_TABLE, pose_of
+from hplan.collision.compiled_clearance import pose_of
 from hplan.collision.compiled_placements import place_joints
 from hplan.errors import RobotFileError
 from hplan.geometry.cloud import Cloud
-from hplan.geometry.convex_distance import NEAREST, Wanted, core_distance, corner_table
+from hplan.geometry.convex_distance import NEAREST, NO_TABLE, Wanted, core_distance, corner_table, plane_of_separation
+from hplan.geometry.planes import is_behind
 from hplan.geometry.sweep import STILL
 from hplan.geometry.vectors import Vector, sub
 from hplan.robot.model import Robot, made_once
@@ -293,9 +294,10 @@ def hull_separation(frames: FloatArray, all_boxes: PairBoxes, pair: int, enough:
             near[NEAREST], near[NEAREST + 1], near[NEAREST + 2] = sub(middle, centre)
             wanted, lot = Wanted(least, least, _ROUGH, 0.0, STILL), (first, last, NO_TABLE)
             if core_distance(all_boxes.corners, span, pose, points, lot, wanted, near) < least:
+                plane = plane_of_separation(all_boxes.corners, span, pose, near)
                 for p in range(first, last, 3):
                     point = points[p], points[p + 1], points[p + 2]
-                    if _from_box(placed, half, point) < least:
+                    if not is_behind(plane, point, least) and _from_box(placed, half, point) < least:
                         near[NEAREST], near[NEAREST + 1], near[NEAREST + 2] = sub(middle, point)
                         wanted, lot = Wanted(least, -math.inf, _FINE, 0.0, STILL), (p, p + 3, NO_TABLE)
                         least = min(least, core_distance(all_boxes.corners, span, pose, points, lot, wanted, near))

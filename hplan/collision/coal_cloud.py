@@ -3,9 +3,9 @@ r"""Point clouds in coal: lazily built bounding-volume trees over blocks of poin
 coal takes 2 us per point to build a tree, but a motion comes near few blocks only: leaves of the cloud's own tree,
 whose nodes have bounding balls. A shape of the arm lies in a box grown by a radius, a capsule in its axis grown by a
 radius. The distance from the box to a ball, or to the nearest of its points, minus the radius is a lower bound of the
-distance between the shape and the points. Another one is the distance along the direction of the nearest points found
-so far, in which the shape's corners are ahead of a plane. A block is skipped if a bound is at least the minimum found
-before it, so the minimum over all points is exact.
+distance between the shape and the points. Another one is the distance along any direction in which the shape's corners
+are ahead of a plane: that of the nearest points found so far, and one for each block, which GJK proposes. A block is
+skipped if a bound is at least the minimum found before it, so the minimum over all points is exact.
 """
 
 from __future__ import annotations
@@ -25,9 +25,11 @@ from hplan.base.kernels import inline, kernel
 from hplan.collision.coal_shapes import beyond_geometry, capsule_shapes, solid_shape, triangle_tree
 from hplan.geometry.cloud import LEAF, Cloud
 from hplan.geometry.cloud_tree import tree_of
+from hplan.geometry.convex_distance import NEAREST, NO_TABLE, SEPARATING, WORK, Wanted, core_distance
 from hplan.geometry.hull import CUBE_CORNERS
 from hplan.geometry.planes import NO_PLANE, Plane, is_behind
 from hplan.geometry.shape_outline import coal_distance
+from hplan.geometry.sweep import STILL
 from hplan.geometry.vectors import Vector
 from hplan.scene.obstacles import Capsule, Solid
 
@@ -36,6 +38,9 @@ from hplan.scene.obstacles import Capsule, Solid
 _SPECK: Final = 1e-7
 SPECK_RADIUS_M: Final = 2.0 * _SPECK
 _SPECK_CORNERS: Final = _SPECK * np.array([[1.0, 0.0, 0.5], [-0.5, 0.75, -0.25], [-0.5, -0.75, -0.25]])
+
+#: Relative tolerance of the distances by which GJK proposes a direction.
+_ROUGH: Final = 1e-2
 
 #: Radius of a capsule that represents its axis [m].
 _THIN: Final = 1e-6
@@ -119,22 +124,22 @@ class PointBlocks:
         In contact it is the signed distance from one of the points that the shape touches; for a capsule the nearest
         one, unless that lies on its axis. May be infinite if the distance exceeds `most`.
         """
-        place = placement.rotation, placement.translation
-        coal_place, result = coal.Transform3s(*place), coal.DistanceResult()
-        least, bound, block, towards = math.inf, -math.inf, -1, _NOWHERE
-        while True:
-            limit = min(least, most + shape.radius) + shape.rounding
-            bound, block = nearest_block(
-                place, (shape.core, shape.corners), (self._nodes, self.points), (bound, block), towards, limit
-            )
-            if block < 0 or least <= 0.0:
-                if least <= 0.0 and shape.thin is not None:
-                    return self.distance(shape.thin, placement)
-                return least - shape.radius
+        place, body = (placement.rotation, placement.translation), (shape.core, shape.corners)
+        coal_place, result, cloud = coal.Transform3s(*place), coal.DistanceResult(), (self._nodes, self.points)
+        most += shape.radius + shape.rounding
+        bound, nearest = likely_block(place, body, cloud)
+        least, towards, block, following = math.inf, _NOWHERE, nearest if bound < most else -1, 0
+        while block >= 0 and least > 0.0:
             # coal continues from the minimum distance in its result and skips everything farther.
             found = coal.distance(shape.geometry, coal_place, self._tree(block), _PLACE, _REQUEST, result)
             if found < least:
                 least, towards = found, result.normal
+            limit = min(least + shape.rounding, most)
+            block = following = next_block(place, body, cloud, (following, nearest), towards, limit)
+            following += 1
+        if least <= 0.0 and shape.thin is not None:
+            return self.distance(shape.thin, placement)
+        return least - shape.radius
 
     def _tree(self, block: int) -> coal.BVHModelOBBRSS:
         """Return the tree of a block's points as tiny triangles, built once."""
@@ -190,43 +195,142 @@ def distance_from(obstacle: Solid, most: float = math.inf) -> Callable[[coal.Col
 
 
 @kernel
-def nearest_block(
+def likely_block(
+    place: tuple[FloatArray, FloatArray], body: tuple[FloatArray, FloatArray], cloud: tuple[FloatArray, FloatArray]
+) -> tuple[float, int]:
+    """Find the leaf that is probably the nearest to a placed hull: the nearest one as the hull of its points.
+
+    Args:
+        place: (3, 3) rotation and (3,) translation of the hull's frame.
+        body: (2, 3) centre and half sizes of a box in that frame that contains the hull, and (n, 3) its corners.
+        cloud: (k, 7) the tree, as in `hplan.geometry.cloud.Cloud`, and its (n, 3) points.
+
+    Returns:
+        A lower bound of the distance of all points from the box [m], and the leaf's index; infinity and -1 for a cloud
+        without points.
+    """
+    (rotation, translation), (core, corners), (nodes, points) = place, body, cloud
+    number, found, bound, least, work = 0, -1, math.inf, math.inf, np.empty(WORK)
+    if len(nodes) > 0:
+        found = _descend(rotation, translation, core, nodes)
+        least = _separation(place, corners, points, (int(nodes[found, 0]), int(nodes[found, 1])), math.inf, work)
+        bound = _ball_bound(rotation, translation, core, nodes[found])
+    while number < len(nodes):
+        away = _ball_bound(rotation, translation, core, nodes[number])
+        is_leaf = nodes[number, 2] == number + 1
+        if is_leaf or away >= least:
+            bound = min(bound, away)
+        if away >= least:
+            number = int(nodes[number, 2])
+            continue
+        if is_leaf and number != found:
+            lot = int(nodes[number, 0]), int(nodes[number, 1])
+            if not _is_beyond(place, core, points, lot, NO_PLANE, least):
+                apart = _separation(place, corners, points, lot, least, work)
+                if apart < least:
+                    least, found = apart, number
+        number += 1
+    return bound, found
+
+
+@kernel
+def next_block(
     place: tuple[FloatArray, FloatArray],
     body: tuple[FloatArray, FloatArray],
     cloud: tuple[FloatArray, FloatArray],
-    after: tuple[float, int],
+    after: tuple[int, int],
     towards: FloatArray,
     limit: float,
-) -> tuple[float, int]:
-    """Find the leaf that may be nearest to a placed box.
+) -> int:
+    """Find the next leaf, in the order of the tree, with points that may be nearer to a placed hull than a limit.
 
     Args:
-        place: (3, 3) rotation and (3,) translation of the box's frame.
-        body: (2, 3) centre and half sizes of the box in that frame, and (n, 3) corners of the hull that matters of it.
+        place: (3, 3) rotation and (3,) translation of the hull's frame.
+        body: (2, 3) centre and half sizes of a box in that frame that contains the hull, and (n, 3) its corners.
         cloud: (k, 7) the tree, as in `hplan.geometry.cloud.Cloud`, and its (n, 3) points.
-        after: Result of the previous call; leaves up to it in the order of bound and index are skipped.
+        after: The first node of the search, and a leaf that does not count.
         towards: (3,) direction from the hull to what is probably the nearest of the cloud; zeros if it is unknown.
-        limit: Leaves whose ball, or points, are at least this far from the box, or from the hull in that direction, are
-            skipped [m].
+        limit: The limit [m].
 
     Returns:
-        The distance from the box to the ball that contains the leaf's points, negative if the box overlaps the ball,
-        and the leaf's index; -1 if no leaf is left.
+        The leaf's index; -1 if no leaf is left.
     """
-    (rotation, translation), (core, corners), (nodes, points) = place, body, cloud
-    plane = _plane_behind(rotation, translation, corners, towards)
-    while True:
-        bound, leaf = _next_leaf(place, core, nodes, after, plane, limit)
-        if leaf < 0:
-            return bound, leaf
-        least = math.inf
-        for p in range(int(nodes[leaf, 0]), int(nodes[leaf, 1])):
-            point = points[p, 0], points[p, 1], points[p, 2]
-            if not is_behind(plane, point, limit + SPECK_RADIUS_M):
-                least = min(least, _square_from_box(rotation, translation, core, point))
-        if math.sqrt(least) * (1.0 - 1e-12) - SPECK_RADIUS_M < limit:
-            return bound, leaf
-        after = bound, leaf
+    (rotation, translation), (core, corners), (nodes, points), (number, seen) = place, body, cloud, after
+    plane, work = _plane_behind(rotation, translation, corners, towards), np.empty(WORK)
+    while number < len(nodes):
+        node = nodes[number]
+        if (
+            is_behind(plane, (node[3], node[4], node[5]), node[6] + limit + SPECK_RADIUS_M)
+            or _ball_bound(rotation, translation, core, node) >= limit
+        ):
+            number = int(node[2])
+            continue
+        if node[2] == number + 1 and number != seen:
+            lot = int(node[0]), int(node[1])
+            if not _is_beyond(place, core, points, lot, plane, limit):
+                _separation(place, corners, points, lot, limit + SPECK_RADIUS_M, work)
+                other = _plane_behind(rotation, translation, corners, -work[SEPARATING : SEPARATING + 3])
+                if not _is_beyond(place, core, points, lot, other, limit):
+                    return number
+        number += 1
+    return -1
+
+
+@kernel
+def _is_beyond(
+    place: tuple[FloatArray, FloatArray],
+    core: FloatArray,
+    points: FloatArray,
+    lot: tuple[int, int],
+    plane: Plane,
+    limit: float,
+) -> bool:
+    """True if points are all at least `limit` [m] behind a plane, or from a placed box.
+
+    Args:
+        place: Place of the box, as of `next_block`.
+        core: (2, 3) the box.
+        points: (n, 3) points.
+        lot: The range of those that are meant.
+        plane: A plane that the hull in the box is ahead of.
+        limit: The distance [m].
+    """
+    (rotation, translation), (first, last), least = place, lot, math.inf
+    for p in range(first, last):
+        point = points[p, 0], points[p, 1], points[p, 2]
+        if not is_behind(plane, point, limit + SPECK_RADIUS_M):
+            least = min(least, _square_from_box(rotation, translation, core, point))
+    return math.sqrt(least) * (1.0 - 1e-12) - SPECK_RADIUS_M >= limit
+
+
+@kernel
+def _separation(
+    place: tuple[FloatArray, FloatArray],
+    corners: FloatArray,
+    points: FloatArray,
+    lot: tuple[int, int],
+    enough: float,
+    work: FloatArray,
+) -> float:
+    """About the distance of a placed hull from the hull of some points, by GJK [m].
+
+    The direction from the points to the hull along which they are about the farthest apart is written to the buffer at
+    `SEPARATING`; zeros if there is none.
+
+    Args:
+        place: Place of the hull, as of `next_block`.
+        corners: (n, 3) its corners.
+        points: (n, 3) points.
+        lot: The range of those that are meant.
+        enough: A direction along which they are so far apart suffices [m].
+        work: (WORK,) buffer.
+    """
+    (r, t), (first, last) = place, lot
+    pose = r[0, 0], r[0, 1], r[0, 2], r[1, 0], r[1, 1], r[1, 2], r[2, 0], r[2, 1], r[2, 2], t[0], t[1], t[2]
+    span, other = (0, corners.size, NO_TABLE), (3 * first, 3 * last, NO_TABLE)
+    work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = 0.0, 0.0, 0.0
+    wanted = Wanted(enough, -math.inf, _ROUGH, 0.0, STILL)
+    return core_distance(corners.reshape(-1), span, pose, points.reshape(-1), other, wanted, work)
 
 
 @kernel
@@ -246,52 +350,17 @@ def _plane_behind(rotation: FloatArray, translation: FloatArray, corners: FloatA
 
 
 @kernel
-def _next_leaf(
-    place: tuple[FloatArray, FloatArray], core: FloatArray, nodes: FloatArray, after: tuple[float, int], plane: Plane,
-    limit: float,
-) -> tuple[float, int]:  # fmt: skip
-    """Find the leaf whose ball is nearest to a placed box; arguments and result as of `nearest_block`."""
-    (rotation, translation), least, found, number = place, limit, -1, 0
-    if after[1] < 0 and plane[1] == -math.inf and nodes.shape[0] > 0:
-        # A leaf that is rather near, so that most balls need not be opened.
-        bound = _descent_bound(rotation, translation, core, nodes)
-        least = min(least, bound + 1e-12 * (1.0 + abs(bound)))
-    # Ends and bounds of the nodes above: this node's ball may extend beyond theirs, its points do not.
-    above, height = np.empty((64, 2)), 0
-    while number < nodes.shape[0]:
-        while height > 0 and number >= above[height - 1, 0]:
-            height -= 1
-        node = nodes[number]
-        if is_behind(plane, (node[3], node[4], node[5]), node[6] + limit + SPECK_RADIUS_M):
-            number = int(node[2])
-            continue
-        bound = _ball_bound(rotation, translation, core, node)
-        if height > 0:
-            bound = max(bound, above[height - 1, 1])
-        is_leaf = nodes[number, 2] == number + 1
-        if bound < least and is_leaf and (bound > after[0] or (bound == after[0] and number > after[1])):
-            least, found = bound, number
-        if is_leaf or bound >= least:
-            number = int(nodes[number, 2])
-        else:
-            above[height, 0], above[height, 1] = nodes[number, 2], bound
-            height, number = height + 1, number + 1
-    return (limit, -1) if found < 0 else (least, found)
-
-
-@kernel
-def _descent_bound(rotation: FloatArray, translation: FloatArray, core: FloatArray, nodes: FloatArray) -> float:
-    """Bound of the leaf reached by always taking the nearer child [m]."""
-    number, bound = 0, _ball_bound(rotation, translation, core, nodes[0])
+def _descend(rotation: FloatArray, translation: FloatArray, core: FloatArray, nodes: FloatArray) -> int:
+    """Index of the leaf reached by always taking the nearer child."""
+    number = 0
     while nodes[number, 2] > number + 1:
         end, number = nodes[number, 2], number + 1
-        nearer, second = _ball_bound(rotation, translation, core, nodes[number]), int(nodes[number, 2])
+        second = int(nodes[number, 2])
         if second < end:
-            other = _ball_bound(rotation, translation, core, nodes[second])
-            if other < nearer:
-                number, nearer = second, other
-        bound = max(bound, nearer)
-    return bound
+            nearer = _ball_bound(rotation, translation, core, nodes[number])
+            if _ball_bound(rotation, translation, core, nodes[second]) < nearer:
+                number = second
+    return number
 
 
 @inline

@@ -31,19 +31,19 @@ from hplan.collision.compiled_obstacles import FieldArrays
 from hplan.collision.compiled_placements import PLACED, place_bodies
 from hplan.geometry.convex_distance import (
     NEAREST,
+    NO_TABLE,
     ON_FIRST,
-    SEPARATING,
     WORK,
     Span,
     Wanted,
     core_distance,
-    farthest_corner,
+    plane_of_separation,
 )
 from hplan.geometry.penetration import penetration
 from hplan.geometry.planes import NO_PLANE, Plane, is_behind
 from hplan.geometry.segment_distance import off_box, off_segment, point_segment
 from hplan.geometry.sweep import STILL
-from hplan.geometry.vectors import Pose, Vector, cross, dot, placed_point, sub, turned_back, vector_of
+from hplan.geometry.vectors import Pose, Vector, cross, dot, sub, turned_back, vector_of
 
 _FIRST_ROW = any_int(0)
 
@@ -59,9 +59,6 @@ _SURELY = 1.0 - EXACT
 
 #: Relative tolerance of distances from a leaf as a whole.
 _ROUGH = 1e-2
-
-#: Table index of a hull without a corner table: a single point has no table.
-NO_TABLE = any_int(0)
 
 #: Index of no row.
 NO_ROW = any_int(-1)
@@ -337,14 +334,9 @@ def _row_clearance(arm: BodyArrays, place: tuple[int, int], away: Vector, least:
 @kernel
 def plane_behind(arm: BodyArrays, b: int) -> Plane:
     """Plane that touches a body from behind; its normal is the last query's direction of the largest separation."""
-    work, pose = arm.work, pose_of(arm.frames, arm.bodies[b].joint)
-    x, y, z = work[SEPARATING], work[SEPARATING + 1], work[SEPARATING + 2]
-    length = math.sqrt(x * x + y * y + z * z)
-    if not length > 0.0:
-        return NO_PLANE
-    x, y, z = x / length, y / length, z / length
-    corner = farthest_corner(arm.points, span_of(arm.bodies, b), turned_back(pose, (-x, -y, -z)))
-    return (x, y, z), dot((x, y, z), placed_point(pose, arm.points, corner)) - arm.bodies[b].rounding
+    pose = pose_of(arm.frames, arm.bodies[b].joint)
+    normal, height = plane_of_separation(arm.points, span_of(arm.bodies, b), pose, arm.work)
+    return normal, height - arm.bodies[b].rounding
 
 
 @kernel
@@ -377,7 +369,7 @@ def nearest_leaf(placed: TableArray, b: int, solids: TableArray, node: int) -> i
 def _leaf_clearance(arm: BodyArrays, k: int, s: int, least: float) -> float:
     """Clearance of a body from a leaf's balls, clamped to `least` [m]."""
     solid, data, placed, work = arm.solids[s], arm.data, arm.placed, arm.work
-    radius, thickness = solid.radius, arm.bodies[k].axis_radius
+    radius, thickness, plane = solid.radius, arm.bodies[k].axis_radius, NO_PLANE
     start, along = segment_of(placed, k)
     if not is_thin(arm.bodies, k):
         radii, pose = radius + arm.bodies[k].rounding, pose_of(arm.frames, arm.bodies[k].joint)
@@ -387,9 +379,12 @@ def _leaf_clearance(arm: BodyArrays, k: int, s: int, least: float) -> float:
         lot = solid.first, solid.last, NO_TABLE
         if core_distance(arm.points, span_of(arm.bodies, k), pose, data, lot, wanted, work) - radii >= least:
             return least
+        plane = plane_behind(arm, k)
     for p in range(solid.first, solid.last, 3):
-        apart = point_segment((data[p], data[p + 1], data[p + 2]), start, along)
-        if apart < least + thickness + radius:
+        point = data[p], data[p + 1], data[p + 2]
+        if is_behind(plane, point, least + radius):
+            continue
+        if point_segment(point, start, along) < least + thickness + radius:
             for c in range(3):
                 work[NEAREST + c] = placed[k].centre[c] - data[p + c]
             least = _hull_clearance(arm, k, (data, (p, p + 3, NO_TABLE), radius), least)

@@ -32,7 +32,6 @@ from hplan.base.kernels import any_int, inline, kernel
 from hplan.collision import compiled_obstacles as row
 from hplan.collision.compiled_clearance import (
     NO_ROW,
-    NO_TABLE,
     BodyArrays,
     difference,
     is_box_beyond,
@@ -50,7 +49,7 @@ from hplan.collision.compiled_clearance import (
 from hplan.collision.compiled_obstacles import FieldArrays
 from hplan.collision.compiled_placements import PLACED, place_bodies
 from hplan.collision.compiled_twists import MOVING, TWIST, find_twists
-from hplan.geometry.convex_distance import NEAREST, SEPARATING, WORK, Span, Wanted, core_distance
+from hplan.geometry.convex_distance import NEAREST, NO_TABLE, SEPARATING, WORK, Span, Wanted, core_distance
 from hplan.geometry.planes import NO_PLANE, is_behind
 from hplan.geometry.segment_distance import point_segment
 from hplan.geometry.sweep import Sweep, used_up
@@ -383,21 +382,27 @@ def _of_lot(moving: Moving, place: tuple[int, int], motion: _Motion, part: Part)
     """
     (k, s), arm = place, moving.arm
     solid, bodies, data, placed, work = arm.solids[s], arm.bodies, arm.data, arm.placed, arm.work
-    radius = solid.radius
+    radius, plane, used = solid.radius, NO_PLANE, 0.0
     radii, thin = radius + bodies[k].axis_radius, is_thin(bodies, k)
     if not thin:
         work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = _off_axis(placed, k, vector_of(solid.centre))
         lot = data, (solid.first, solid.last, NO_TABLE), radius
         if _separation(moving, k, lot, motion, part) == math.inf:
             return part
+        plane = plane_behind(arm, k)
+        used = used_up(_sweep(motion, part), plane[0], 1.0)
     for p in range(solid.first, solid.last, 3):
-        off = _off_axis(placed, k, (data[p], data[p + 1], data[p + 2]))
+        point = data[p], data[p + 1], data[p + 2]
+        if not thin and is_behind(plane, point, radius + used):
+            continue
+        off = _off_axis(placed, k, point)
         if not _is_apart(motion, part, off, radii):
             if thin:
                 part = _verified_segment(motion, off, math.sqrt(dot(off, off)) - radii, part)
             else:
                 work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = off
                 part = _of_hull(moving, k, (data, (p, p + 3, NO_TABLE), radius), motion, part)
+                used = used_up(_sweep(motion, part), plane[0], 1.0)
             if part.forward < 0.0:
                 break
     return part

@@ -27,12 +27,14 @@ from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import any_int, inline, kernel
 from hplan.geometry.hull import CUBE_CORNERS
+from hplan.geometry.planes import NO_PLANE, Plane
 from hplan.geometry.sweep import STILL, Sweep, used_up
 from hplan.geometry.vectors import Pose, Vector, cross, dot, placed_point, sub, turned_back
 
 #: Range of a point set in an array of numbers: index of the first coordinate, index past the last one, and index of the
-#: table (`corner_table`), 0 for no table.
+#: table (`corner_table`), `NO_TABLE` without one.
 Span: TypeAlias = tuple[int, int, int]
+NO_TABLE = any_int(0)
 
 #: Layout of `work`: the simplex (four points of A - B), the matching points of A, the indices of both their corners,
 #: weights; then the outputs: number of corners, the nearest points of A - B and of A, and the direction, of any length,
@@ -112,7 +114,7 @@ def corner_table(corners: FloatArray, first: int, table: int, faces: IntArray | 
 def farthest_corner(points: FloatArray, span: Span, direction: Vector) -> int:
     """Index of the point that lies farthest in a direction."""
     (x, y, z), (first, last, table) = direction, span
-    if table == 0:
+    if table == NO_TABLE:
         best = first
         most = points[first] * x + points[first + 1] * y + points[first + 2] * z
         for p in range(first + 3, last, 3):
@@ -201,6 +203,21 @@ def core_distance(
     work[SIZE] = float(size)
     _find_point_of_first(work, size)
     return lower
+
+
+@kernel
+def plane_of_separation(shape: FloatArray, span: Span, pose: Pose, work: FloatArray) -> Plane:
+    """Plane that touches the first hull of a query from behind.
+
+    Its normal is the direction of the largest separation that `core_distance` found; `NO_PLANE` if it found none.
+    """
+    x, y, z = work[SEPARATING], work[SEPARATING + 1], work[SEPARATING + 2]
+    length = math.sqrt(x * x + y * y + z * z)
+    if not length > 0.0:
+        return NO_PLANE
+    normal = x / length, y / length, z / length
+    corner = farthest_corner(shape, span, turned_back(pose, (-normal[0], -normal[1], -normal[2])))
+    return normal, dot(normal, placed_point(pose, shape, corner))
 
 
 @inline

@@ -20,7 +20,7 @@ from hplan.base.data_files import urdf_dir
 from hplan.certificate.certificate import certify
 from hplan.collision.coal_accuracy import CURVED, ITERATION, PARALLEL, SIZE, distance_errors, extents
 from hplan.collision.coal_arm import base_radius
-from hplan.collision.coal_cloud import BareShape, PointBlocks, distance_from, nearest_block
+from hplan.collision.coal_cloud import BareShape, PointBlocks, distance_from, likely_block, next_block
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.collision.coal_shapes import solid_shape
 from hplan.geometry.cloud import Cloud
@@ -308,22 +308,22 @@ def test_blocks_are_their_points(seed, kind, count):
 
 @settings(max_examples=40)
 @given(st.integers(0, 10_000), st.sampled_from(sorted(SHAPES)))
-def test_blocks_come_nearest_first_and_bound_distances_from_below(seed, kind):
+def test_blocks_that_are_passed_over_are_beyond_the_limit(seed, kind):
     rng = np.random.default_rng(seed)
     cloud, place = Cloud.from_points("cloud", rng.uniform(-1.0, 1.0, (1000, 3)), 0.02), placed(rng)
-    shape = BareShape.strip(SHAPES[kind])
-    farthest, after, found = rng.choice([0.5, np.inf]), (-np.inf, -1), {}
-    poses, body = (place.rotation, place.translation), (shape.core, shape.corners)
-    while (after := nearest_block(poses, body, (cloud.tree, cloud.core), after, np.zeros(3), farthest))[1] >= 0:
-        assert after[1] not in found
-        found[after[1]] = after[0]
-    assert list(found.values()) == sorted(found.values())
+    shape, limit, towards = BareShape.strip(SHAPES[kind]), rng.choice([0.1, 0.5]), rng.normal(size=3)
+    poses, body, tree = (place.rotation, place.translation), (shape.core, shape.corners), (cloud.tree, cloud.core)
+    bound, seen = likely_block(poses, body, tree)
+    found, block = {seen}, -1
+    while (block := next_block(poses, body, tree, (block + 1, seen), towards, limit)) >= 0:
+        assert block not in found
+        found.add(block)
     leaves = np.flatnonzero(cloud.tree[:, 2] == np.arange(len(cloud.tree)) + 1).tolist()
-    assert set(found) <= set(leaves)
-    assert len(found) == len(leaves) or farthest < np.inf
+    assert found <= set(leaves)
     for leaf in leaves:
         away = brute_force(cloud.core[slice(*cloud.tree[leaf, :2].astype(int))], shape.geometry, place)
-        assert away >= found.get(leaf, farthest) - shape.rounding - 3e-6 or away <= 0.0
+        assert away >= bound - shape.rounding - 3e-6 or away <= 0.0
+        assert leaf in found or away >= limit - shape.rounding - 3e-6
 
 
 def turned(z, rng):

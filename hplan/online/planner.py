@@ -58,7 +58,7 @@ from hplan.planning.motion import Motion
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task, solve_scene
 from hplan.planning.problem import Problem
-from hplan.planning.recent_paths import with_motion
+from hplan.planning.recent_paths import with_motion, with_path
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.robot.upright import with_fixed_axis
@@ -255,8 +255,12 @@ class Planner:
             return self.last
 
     def _remember(self, plan: PlanResult) -> None:
-        """Remember the points of a motion for later searches."""
-        self._recent = with_motion(self._recent, plan.trajectory, plan.robot)
+        """Remember the points of a motion, or the path that a first motion is near, for later searches."""
+        is_first = plan.problem.options.at_once and not (isinstance(plan, SplicedResult) and plan.is_improved)
+        if is_first and len(plan.grid_path) > 2:
+            self._recent = with_path(self._recent, plan.grid_path, plan.robot)
+        else:
+            self._recent = with_motion(self._recent, plan.trajectory, plan.robot)
 
     def stop_at(self, t: float, *, now: float | None = None, measured: ArrayLike | None = None) -> CertifiedMotion:
         """Return the last motion with the fastest stop on its path.

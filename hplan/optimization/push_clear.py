@@ -18,7 +18,6 @@ from hplan.collision.compiled_clearance import body_slopes, least_body_clearance
 from hplan.collision.compiled_field import ClearanceField
 from hplan.collision.compiled_motions import piece_is_clear
 from hplan.collision.compiled_obstacles import FieldArrays
-from hplan.collision.distance_checker import FAR
 from hplan.geometry.polyline import stations
 from hplan.optimization.options import JointArrays, PostprocessOptions
 from hplan.trajectory.cubics import bezier_piece
@@ -31,20 +30,28 @@ _PUSH_ROUNDS = 40
 _UNSEEN = 1.5
 
 #: Pushing is abandoned after `_STALLED` rounds in which the total clearance deficit did not fall below `_SHRUNK` times
-#: its previous minimum.
+#: its previous minimum since all pieces were checked.
 _STALLED, _SHRUNK = 8, 0.9
 
 
 def clear_spline(
-    path: FloatArray, field: ClearanceField, options: PostprocessOptions, *, count: int, margin: float
+    path: FloatArray,
+    field: ClearanceField,
+    options: PostprocessOptions,
+    *,
+    count: int,
+    margin: float,
+    whole: ClearanceField | None = None,
 ) -> SplinePath | None:
     """Fit a spline to a collision-free polyline and push it off obstacles.
 
     Args:
         path: (m, dof) waypoints, collision-free.
+        field: Clearances to the obstacles off which the spline is pushed.
         count: Number of control points, >= 4.
         margin: Required clearance at the samples [m]; the exact check requires half of it at each evaluated
             configuration.
+        whole: Clearances to all obstacles, for the exact check; None for those to which it is pushed.
 
     Returns:
         The spline, verified collision-free, or None if pushing did not succeed.
@@ -57,19 +64,22 @@ def clear_spline(
     pushed = push_out(moved, field.arrays, options.joints, margin)
     check_deadline()
     spline = SplinePath(frozen(control), moved.knots)
-    return spline if pushed and spline.is_clear(field, 0.5 * margin) else None
+    return spline if pushed and spline.is_clear(whole or field, 0.5 * margin) else None
 
 
 @kernel
-def _worst_point(piece: FloatArray, field: FieldArrays, movable: IntArray, gradient: FloatArray) -> tuple[float, float]:
+def _worst_point(
+    piece: FloatArray, field: FieldArrays, movable: IntArray, enough: float, gradient: FloatArray
+) -> tuple[float, float]:
     """Minimum sampled clearance of a Bezier piece, and its parameter.
 
-    The gradient of that clearance with respect to the joints is written into `gradient`.
+    The gradient of that clearance with respect to the joints is written into `gradient`, unless it is `enough` or
+    more.
     """
     dof, bodies = piece.shape[1], len(field.bodies) + len(field.pairs)
     q, worst = np.empty(dof), piece[0].copy()
     clear, slopes = np.empty(bodies), np.empty((bodies, len(movable)))
-    least, at = FAR, 0.0
+    least, at = enough, 0.0
     for sample in range(17):
         t = sample / 16.0
         u = 1.0 - t
@@ -81,6 +91,8 @@ def _worst_point(piece: FloatArray, field: FieldArrays, movable: IntArray, gradi
             least, at = here, t
             for k in range(dof):
                 worst[k] = q[k]
+    if least == enough:
+        return least, at
     body_slopes(worst, field, movable, least + 1e-9, clear, slopes)
     nearest = 0
     for k in range(bodies):
@@ -98,26 +110,29 @@ def push_out(spline: MovableSpline, field: FieldArrays, joints: JointArrays, mar
     count, dof = control.shape
     lower, upper, movable = joints.lower, joints.upper, joints.movable
     piece, gradient, weight = np.empty((4, dof)), np.empty(dof), np.empty(4)
-    is_clear = np.zeros(count - 3, dtype=np.bool_)  # Of pieces that have not moved since.
+    # Pieces in collision are pushed until they are clear, then the pieces that moved with them are checked.
+    is_clear, is_blocked = np.zeros(count - 3, dtype=np.bool_), np.zeros(count - 3, dtype=np.bool_)
     lowest, since = math.inf, 0
     for _ in range(_PUSH_ROUNDS):
-        contact, missing = False, 0.0
+        pushed, missing = is_blocked.any(), 0.0
         for i in range(count - 3):
-            if is_clear[i]:
+            if is_clear[i] or (pushed and not is_blocked[i]):
                 continue
             bezier_piece(control, knots, i + 3, piece)
-            if piece_is_clear(piece, field, margin, STRIDE):
+            is_blocked[i] = not piece_is_clear(piece, field, margin, STRIDE)
+            if not is_blocked[i]:
                 is_clear[i] = True
                 continue
             if is_up(field.until):
                 return False
-            contact = True
-            least, at = _worst_point(piece, field, movable, gradient)
+            least, at = _worst_point(piece, field, movable, _UNSEEN * margin, gradient)
+            # What the proof meets between the samples is not pushed off if all samples are far from it.
+            if not least < _UNSEEN * margin:
+                return False
             square = 0.0
             for j in movable:
                 square += gradient[j] * gradient[j]
-            # What the proof meets between the samples is not pushed off if all samples are far from it.
-            if square < 1e-8 or least > _UNSEEN * margin:
+            if square < 1e-8:
                 return False
             missing += margin - least
             # Divide the step among the four control points about in proportion to their weights on the curve there.
@@ -149,10 +164,12 @@ def push_out(spline: MovableSpline, field: FieldArrays, joints: JointArrays, mar
                     for j in movable:
                         moved = control[i + c, j] + step * weight[c] * gradient[j]
                         control[i + c, j] = min(upper[j], max(lower[j], moved))
-        if not contact:
-            return True
+        if not is_blocked.any():
+            if not pushed:
+                return True
+            continue
         since += 1
-        if missing < _SHRUNK * lowest:
+        if missing < _SHRUNK * lowest or not pushed:
             lowest, since = missing, 0
         elif since == _STALLED:
             return False

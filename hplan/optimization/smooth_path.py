@@ -25,8 +25,9 @@ _FAST_CONTROL_POINTS = (6, 8, 10, 14, 20, 30, 44)
 #: once.
 CONTROL_POINTS, FIRST_CONTROL_POINTS = (6, 10, 14, 20, 30, 44, 8, 12), (10, 20, 44)
 
-#: Number of shortcuts tried before an optimization: a less taut path has more clearance.
-START_SHORTCUTS = 25
+#: Number of shortcuts tried before an optimization: a less taut path has more clearance. And before a first motion at
+#: once, which an optimization follows.
+START_SHORTCUTS, FIRST_SHORTCUTS = 25, 8
 
 #: A start and goal closer to each other than this coincide [rad].
 _NO_MOTION = 1e-9
@@ -55,7 +56,8 @@ def clear_path(
     Args:
         path: (m, dof) waypoints, m >= 2.
         counts: Numbers of control points, tried in order.
-        rounds: Number of shortcuts tried if none of them succeeds and corners are rounded.
+        rounds: Number of shortcuts tried: `START_SHORTCUTS` of them before a spline is fitted, all of them before
+            corners are rounded where no spline succeeds.
 
     Raises:
         InputError: Start and goal of the path coincide.
@@ -65,8 +67,8 @@ def clear_path(
     if is_straight(path, field, options):
         return SplinePath.from_control_points(np.linspace(path[0], path[-1], 4))
     near = near_field(path, field, NEAR)
-    found = clear_start(path, near, options, counts, counts)
-    if found is not None and (near is field or found.is_clear(field, 0.5 * smallest)):
+    found = clear_start(path, near, options, counts, counts, whole=field, rounds=min(rounds, START_SHORTCUTS))
+    if found is not None:
         return found
     return clear_rounding(shorten(path, field, margin=smallest, rounds=rounds), field, margin=smallest)
 
@@ -123,6 +125,9 @@ def clear_start(
     options: PostprocessOptions,
     counts: Sequence[int] = _FAST_CONTROL_POINTS,
     reduced: Sequence[int] = _FAST_CONTROL_POINTS[-1:],
+    *,
+    whole: ClearanceField | None = None,
+    rounds: int = START_SHORTCUTS,
 ) -> SplinePath | None:
     """Collision-free spline along a path, as an optimizer's initial guess.
 
@@ -130,15 +135,19 @@ def clear_start(
 
     Args:
         path: (m, dof) waypoints, collision-free, m >= 2. The resulting spline is verified, the path is not.
+        field: Clearances to the obstacles near the path.
         counts: Numbers of control points, tried in order.
         reduced: The same for a quarter of the margin.
+        whole: Clearances to all obstacles, for the verification; None for those near the path.
+        rounds: Number of shortcuts tried.
     """
     if np.linalg.norm(path[-1] - path[0]) < _NO_MOTION:
         return None
+    taut = path
     for margin, numbers in ((options.margin, counts), (0.25 * options.margin, reduced)):
-        taut = shorten(path, field, margin=margin, rounds=START_SHORTCUTS)
+        taut = shorten(taut, field, margin=margin, rounds=rounds)
         for count in numbers:
-            spline = clear_spline(taut, field, options, count=count, margin=margin)
+            spline = clear_spline(taut, field, options, count=count, margin=margin, whole=whole)
             if spline is not None:
                 return spline
     return None

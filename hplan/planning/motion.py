@@ -25,7 +25,7 @@ from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.several_starts import NEAR_PATH_M, fastest_motions, optimization_starts
 from hplan.optimization.smooth_path import (
     FIRST_CONTROL_POINTS,
-    START_SHORTCUTS,
+    FIRST_SHORTCUTS,
     clear_path,
     is_straight,
     near_field,
@@ -240,7 +240,7 @@ def motion_along(problem: Problem, polyline: Path, margin: float) -> Motion:
         if problem.options.objective == "length":
             path = short_path(polyline.waypoints, problem.field, options)
         elif at_once:
-            path = clear_path(polyline.waypoints, problem.field, options, FIRST_CONTROL_POINTS, START_SHORTCUTS)
+            path = clear_path(polyline.waypoints, problem.field, options, FIRST_CONTROL_POINTS, FIRST_SHORTCUTS)
         else:
             path = clear_path(polyline.waypoints, problem.field, options)
     if at_once:

@@ -23,7 +23,7 @@ from hplan.robot.limits import clock_at_limits
 from hplan.robot.model import Robot
 from hplan.trajectory.trajectory import Trajectory
 
-#: Number of motions that are remembered, and of points of each.
+#: Number of motions that are remembered, and of points of each besides corners.
 _MOTIONS, _POINTS = 8, 24
 
 #: A motion adds something to others if a point of it is this far from all of theirs, and edges between motions are at
@@ -47,9 +47,28 @@ def with_motion(recent: Sequence[FloatArray], trajectory: Trajectory, robot: Rob
     """
     clock = clock_at_limits(trajectory.position, robot.velocity_limit)
     rows = np.unique(np.searchsorted(clock, np.linspace(0.0, clock[-1], _POINTS)))
-    points, known = frozen(trajectory.position[rows]), np.concatenate([np.empty((0, robot.dof)), *recent])
+    return _with_points(recent, trajectory.position[rows], robot)
+
+
+def with_path(recent: Sequence[FloatArray], waypoints: FloatArray, robot: Robot) -> tuple[FloatArray, ...]:
+    """The same for a polyline, all of whose corners are remembered.
+
+    The segments between its points are collision-free, unlike those between points of a curved motion.
+
+    Args:
+        recent: (n, dof) configurations along each motion, oldest first.
+        waypoints: (m, dof) the polyline, m >= 1.
+        robot: The arm.
+    """
+    clock = clock_at_limits(waypoints, robot.velocity_limit)
+    times = np.union1d(clock, np.linspace(0.0, clock[-1], _POINTS))
+    return _with_points(recent, np.stack([np.interp(times, clock, joint) for joint in waypoints.T], axis=1), robot)
+
+
+def _with_points(recent: Sequence[FloatArray], points: FloatArray, robot: Robot) -> tuple[FloatArray, ...]:
+    known = np.concatenate([np.empty((0, robot.dof)), *recent])
     apart = ties.on_raster(_times(points, known, robot).min(axis=1, initial=math.inf))
-    return (*recent, points)[-_MOTIONS:] if apart.max() > _ADDS_S else tuple(recent)
+    return (*recent, frozen(points))[-_MOTIONS:] if apart.max() > _ADDS_S else tuple(recent)
 
 
 def _times(first: FloatArray, second: FloatArray, robot: Robot) -> FloatArray:

@@ -15,7 +15,7 @@ from hplan.planning.options import PlanOptions
 from hplan.planning.path_finder import path_along_recent
 from hplan.planning.plan import plan
 from hplan.planning.problem import Problem, merge_problems
-from hplan.planning.recent_paths import recent_path, with_motion
+from hplan.planning.recent_paths import recent_path, with_motion, with_path
 from hplan.planning.solver import motions
 from hplan.planning.specialist import presets_of
 from hplan.robot.model import Robot
@@ -113,3 +113,15 @@ def test_motions_that_lead_nowhere_else_are_not_remembered(robot: Robot, around:
         known = with_motion(known, plan(robot, task((yaw - 10.0, 60.0, 20.0, 30.0), goal)).trajectory, robot)
     assert len(known) == 8
     np.testing.assert_array_equal(known[-1][-1], np.radians(goal))
+
+
+def test_all_corners_of_a_path_are_remembered(robot: Robot) -> None:
+    corners = np.random.default_rng(5).uniform(robot.lower, robot.upper, (40, robot.dof))
+    (known,) = with_path((), corners, robot)
+    rows = [int(np.abs(known - corner).sum(axis=1).argmin()) for corner in corners]
+    np.testing.assert_allclose(known[rows], corners, atol=1e-12)
+    assert rows == sorted(rows)
+    for (first, second), (begin, end) in zip(pairwise(corners), pairwise(rows), strict=True):
+        parts = (known[begin : end + 1] - first) / (second - first)  # the same for all joints on a segment
+        assert np.ptp(parts, axis=1).max() < 1e-9
+    assert with_path((known,), corners, robot) == (known,)

@@ -17,16 +17,13 @@ from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, TableArra
 from hplan.base.deadline import check_deadline, kernel_time_limit
 from hplan.collision.compiled_bodies import FlatBodies
 from hplan.collision.compiled_clearance import body_slopes, clearances_along
-from hplan.collision.compiled_motions import mark_near, path_is_clear
+from hplan.collision.compiled_motions import path_is_clear
 from hplan.collision.compiled_obstacles import JOINT_RANGE, OBSTACLE, FieldArrays, rows_of
 from hplan.collision.distance_checker import FAR
 from hplan.errors import OptionError
 from hplan.robot.model import Robot
 from hplan.robot.upright import UprightTool
 from hplan.scene.obstacles import Solid
-
-#: Maximum rotation of a joint between two samples of a motion in `near` [rad].
-_NEAR_STEP = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,27 +124,6 @@ class ClearanceField(Record):
             joints["next"] = last + before[last]
         owner = np.insert(self.owner, np.flatnonzero(first), self.owner[first])
         return replace(self, solids=frozen(solids), owner=frozen(owner))
-
-    def select_near(self, path: ArrayLike, distance: float) -> ClearanceField:
-        """Return the field of the obstacles near a motion.
-
-        For optimizers only: their result is certified with the whole field.
-
-        Args:
-            path: (m, dof) waypoints; between them the motion is sampled every `_NEAR_STEP`.
-            distance: Obstacles are kept if their bounding balls are within this distance of the links [m].
-        """
-        points = np.asarray(path, dtype=np.float64)
-        turns = np.diff(points, axis=0)
-        counts = np.maximum(1, np.ceil(np.abs(turns).max(axis=1) / _NEAR_STEP)).astype(np.int64)
-        # Number of each sample in its segment.
-        number = np.arange(1, counts.sum() + 1) - np.repeat(np.cumsum(counts) - counts, counts)
-        samples = np.repeat(points[:-1], counts, axis=0)
-        samples += (number / np.repeat(counts, counts))[:, None] * np.repeat(turns, counts, axis=0)
-        kept = np.zeros(len(self.solids), dtype=np.bool_)
-        mark_near(np.concatenate([points[:1], samples]), self.arrays, distance, kept)
-        check_deadline()
-        return self._of_rows(kept)
 
     def without_idle_pairs(self, path: FloatArray, movable: IntArray, distance: float, turn: float) -> ClearanceField:
         """Return the field without self-collision pairs that are irrelevant near a motion.

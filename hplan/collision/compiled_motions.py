@@ -13,19 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hplan.base.arrays import BoolArray, FloatArray
+from hplan.base.arrays import FloatArray
 from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, kernel
-from hplan.collision import compiled_obstacles as row
-from hplan.collision.compiled_clearance import segment_of
 from hplan.collision.compiled_cover import Moving, Part, moving_arm, part_shown_clear
 from hplan.collision.compiled_obstacles import FieldArrays
-from hplan.collision.compiled_placements import PLACED, place_bodies
 from hplan.collision.compiled_twists import motion_bends
-from hplan.geometry.segment_distance import point_segment
-from hplan.geometry.vectors import vector_of
-
-_FIRST_MOTION_ROW = any_int(0)
 
 #: Maximum number of distance queries along one motion.
 _MOST_LOOKS = any_int(1_000_000)
@@ -192,41 +185,3 @@ def path_is_clear(path: FloatArray, field: FieldArrays, margin: float) -> bool:
         clear = segment_is_clear(path[i], path[i + 1], field, margin)
         i += 1
     return clear
-
-
-@kernel
-def mark_near(path: FloatArray, arrays: FieldArrays, distance: float, near: BoolArray) -> None:
-    """Mark the rows whose bounding ball comes near the arm.
-
-    A row is marked if its ball is within `distance` [m] of some body at some configuration of the path.
-    """
-    bodies, joints, solids = arrays.bodies, arrays.joints, arrays.solids
-    placed, frames = np.empty(len(bodies), PLACED), np.empty((path.shape[1] + 1, 12))
-    # Nodes with all their rows marked.
-    whole = np.zeros(len(solids), dtype=np.bool_)
-    for i in range(path.shape[0]):
-        if is_up(arrays.until):
-            break
-        place_bodies(path[i], bodies, joints, frames, placed)
-        for b in range(len(bodies)):
-            if not bodies[b].is_checked:
-                continue
-            start, along = segment_of(placed, b)
-            following = _FIRST_MOTION_ROW
-            while following < len(solids):
-                s = following
-                solid = solids[s]
-                following = s + 1
-                is_node = solid.kind == row.NODE
-                if whole[s]:
-                    following = solid.next
-                elif is_node or not near[s]:
-                    away = point_segment(vector_of(solid.centre), start, along) - distance - bodies[b].axis_radius
-                    near[s] |= away <= solid.bound
-                    # What is in a ball that is near as a whole is near.
-                    if is_node and away <= -solid.bound:
-                        whole[s] = True
-                        for below in range(s, solid.next):
-                            near[below] = True
-                    if is_node and (whole[s] or away > solid.bound):
-                        following = solid.next

@@ -41,17 +41,14 @@ def clear_spline(
     *,
     count: int,
     margin: float,
-    whole: ClearanceField | None = None,
 ) -> SplinePath | None:
     """Fit a spline to a collision-free polyline and push it off obstacles.
 
     Args:
         path: (m, dof) waypoints, collision-free.
-        field: Clearances to the obstacles off which the spline is pushed.
         count: Number of control points, >= 4.
         margin: Required clearance at the samples [m]; the exact check requires half of it at each evaluated
             configuration.
-        whole: Clearances to all obstacles, for the exact check; None for those to which it is pushed.
 
     Returns:
         The spline, verified collision-free, or None if pushing did not succeed.
@@ -64,7 +61,7 @@ def clear_spline(
     pushed = push_out(moved, field.arrays, options.joints, margin)
     check_deadline()
     spline = SplinePath(frozen(control), moved.knots)
-    return spline if pushed and spline.is_clear(whole or field, 0.5 * margin) else None
+    return spline if pushed and spline.is_clear(field, 0.5 * margin) else None
 
 
 @kernel

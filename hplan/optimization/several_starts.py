@@ -21,22 +21,19 @@ from hplan.optimization.coarse_profile import coarse_profile
 from hplan.optimization.minimize_time import LONGEST_MOTION_S, OptimizerEffort, minimize_time, rough_motion
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.path_classes import PARTS, class_numbers
-from hplan.optimization.smooth_path import SMALLEST_FRACTION, clear_start, near_field, rounded_start
+from hplan.optimization.smooth_path import SMALLEST_FRACTION, clear_start, rounded_start
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import TimedSpline
 from hplan.trajectory.speed_profile import SpeedProfile
 from hplan.trajectory.spline import SplinePath
 
-#: Obstacles farther than this from a path are left out of the programs that move it [m].
-NEAR_PATH_M = 0.4
-
 #: The first path is preferred unless another path's smooth motion, and coarsely optimized motion, are faster by more
 #: than these fractions.
 _PREFERRED_SMOOTH, _PREFERRED_ROUGH = 0.03, 0.007
 
-#: Pairs of the arm's own bodies are left out of programs if they do not touch within this joint displacement of the
-#: motion [rad]: about the maximum change in one step.
-_FARTHEST_TURN = 0.6
+#: Pairs of the arm's own bodies are left out of programs if they are this far apart along the motion [m], or do not
+#: touch within this joint displacement of it [rad]: about the maximum change in one step.
+_FARTHEST_M, _FARTHEST_TURN = 0.4, 0.6
 
 
 class OptimizationStart(NamedTuple):
@@ -44,7 +41,7 @@ class OptimizationStart(NamedTuple):
 
     Attributes:
         number: Index of the path.
-        problem: The time problem, with the obstacles near this path.
+        problem: The time problem, without pairs that stay apart along this path.
         profile: Approximate time-optimal motion along a smooth path near it.
     """
 
@@ -61,7 +58,7 @@ def optimization_starts(paths: Sequence[FloatArray], problem: TimeProblem) -> li
 
     Args:
         paths: (m, dof) collision-free polylines that share their start and goal.
-        problem: Limits and clearance constraints; its nearby obstacles are selected for each path.
+        problem: Limits and clearance constraints; pairs that stay apart are left out for each path.
     """
     found: list[OptimizationStart] = []
     for find_spline in (clear_start, rounded_start):
@@ -78,16 +75,16 @@ def _start_near(
     find_spline: Callable[[FloatArray, ClearanceField, PostprocessOptions], SplinePath | None],
 ) -> OptimizationStart | None:
     """The smooth path near one polyline; None if there is none or it takes too long."""
-    near = near_field(path, problem.field, NEAR_PATH_M)
-    is_clear = near.is_clear(path, SMALLEST_FRACTION * problem.options.margin)
-    spline = find_spline(path, near, problem.options) if is_clear else None
+    field = problem.field
+    is_clear = field.is_clear(path, SMALLEST_FRACTION * problem.options.margin)
+    spline = find_spline(path, field, problem.options) if is_clear else None
     if spline is None:
         return None
     profile = coarse_profile(spline, problem.options)
     if not profile.duration < LONGEST_MOTION_S:
         return None
     along = profile.positions(PARTS * profile.duration)
-    near = near.without_idle_pairs(along, problem.options.movable, NEAR_PATH_M, _FARTHEST_TURN)
+    near = field.without_idle_pairs(along, problem.options.movable, _FARTHEST_M, _FARTHEST_TURN)
     return OptimizationStart(number, replace(problem, near=near), profile)
 
 

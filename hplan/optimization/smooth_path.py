@@ -32,12 +32,6 @@ START_SHORTCUTS, FIRST_SHORTCUTS = 25, 8
 #: A start and goal closer to each other than this coincide [rad].
 _NO_MOTION = 1e-9
 
-#: Obstacles farther than this from the grid path are left out while the spline is moved [m].
-NEAR = 0.3
-
-#: Up to this number of primitives, skip culling.
-FEW = 20
-
 #: Fraction of the margin that is still required if the full margin is infeasible.
 SMALLEST_FRACTION = 0.05
 
@@ -66,8 +60,7 @@ def clear_path(
     smallest = _smallest_margin(path, field, options)
     if is_straight(path, field, options):
         return SplinePath.from_control_points(np.linspace(path[0], path[-1], 4))
-    near = near_field(path, field, NEAR)
-    found = clear_start(path, near, options, counts, counts, whole=field, rounds=min(rounds, START_SHORTCUTS))
+    found = clear_start(path, field, options, counts, counts, rounds=min(rounds, START_SHORTCUTS))
     if found is not None:
         return found
     return clear_rounding(shorten(path, field, margin=smallest, rounds=rounds), field, margin=smallest)
@@ -111,14 +104,6 @@ def is_straight(path: FloatArray, field: ClearanceField, options: PostprocessOpt
     return straight <= 1.005 * least and field.is_clear(path[[0, -1]], options.margin)
 
 
-def near_field(path: FloatArray, field: ClearanceField, distance: float) -> ClearanceField:
-    """Clearance field without obstacles far from a path, for optimizers only.
-
-    Exact checks use the full field.
-    """
-    return field.select_near(path, distance) if len(field.solids) > FEW else field
-
-
 def clear_start(
     path: FloatArray,
     field: ClearanceField,
@@ -126,7 +111,6 @@ def clear_start(
     counts: Sequence[int] = _FAST_CONTROL_POINTS,
     reduced: Sequence[int] = _FAST_CONTROL_POINTS[-1:],
     *,
-    whole: ClearanceField | None = None,
     rounds: int = START_SHORTCUTS,
 ) -> SplinePath | None:
     """Collision-free spline along a path, as an optimizer's initial guess.
@@ -135,10 +119,8 @@ def clear_start(
 
     Args:
         path: (m, dof) waypoints, collision-free, m >= 2. The resulting spline is verified, the path is not.
-        field: Clearances to the obstacles near the path.
         counts: Numbers of control points, tried in order.
         reduced: The same for a quarter of the margin.
-        whole: Clearances to all obstacles, for the verification; None for those near the path.
         rounds: Number of shortcuts tried.
     """
     if np.linalg.norm(path[-1] - path[0]) < _NO_MOTION:
@@ -147,7 +129,7 @@ def clear_start(
     for margin, numbers in ((options.margin, counts), (0.25 * options.margin, reduced)):
         taut = shorten(taut, field, margin=margin, rounds=rounds)
         for count in numbers:
-            spline = clear_spline(taut, field, options, count=count, margin=margin, whole=whole)
+            spline = clear_spline(taut, field, options, count=count, margin=margin)
             if spline is not None:
                 return spline
     return None

@@ -34,7 +34,7 @@ class TimeProblem(Record):
 
     Attributes:
         field: Clearances to all obstacles.
-        near: Clearances to the obstacles near the initial motion, used by the programs.
+        near: The clearances that programs use: without pairs that stay apart along the initial motion.
         options: Joint limits, movable joints and margin.
         limits: Velocity, acceleration, torque and jerk limits.
         dynamics: Inverse dynamics of the arm.

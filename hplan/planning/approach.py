@@ -267,4 +267,4 @@ def _blend_between(
     if coming is not None:
         last = BoundaryState.of_row(coming, 0)
     with stage("timing"):
-        return minimize_time(transit, time_problem(problem, transit, (first, last)), problem.effort.blended)
+        return minimize_time(transit, time_problem(problem, (first, last)), problem.effort.blended)

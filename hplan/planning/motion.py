@@ -22,13 +22,12 @@ from hplan.errors import CertificationError, TimingError
 from hplan.optimization.coarse_profile import coarse_profile
 from hplan.optimization.minimize_time import LONGEST_MOTION_S, OptimizerEffort, TimedMotion, minimize_time, rough_motion
 from hplan.optimization.options import PostprocessOptions
-from hplan.optimization.several_starts import NEAR_PATH_M, fastest_motions, optimization_starts
+from hplan.optimization.several_starts import fastest_motions, optimization_starts
 from hplan.optimization.smooth_path import (
     FIRST_CONTROL_POINTS,
     FIRST_SHORTCUTS,
     clear_path,
     is_straight,
-    near_field,
     short_path,
 )
 from hplan.optimization.time_problem import TimeProblem
@@ -73,7 +72,8 @@ class Motion(Record):
             parameter is time.
         origin: The source of the polyline.
         search: The grid search that found the polyline; None for none.
-        near: Clearances to what is near a draft, for the optimizer of its blended motion; None for another motion.
+        near: Clearances without pairs that stay apart along a draft, for the optimizer of its blended motion; None for
+            another motion.
     """
 
     name: str
@@ -264,7 +264,7 @@ def improve(motion: Motion) -> Iterator[Motion]:
     ):
         return
     with stage("timing"):
-        program = time_problem(problem, start)
+        program = time_problem(problem)
         spline = minimize_time(start, program, effort)
     if spline is not None and spline.duration < start.duration:
         quicker, certificate = certify_gently(problem, spline.trajectory(program.dynamics, program.rate_hz))
@@ -309,22 +309,16 @@ def sway_of(problem: Problem) -> FloatArray | None:
 
 
 def time_problem(
-    problem: Problem,
-    motion: Trajectory,
-    ends: tuple[BoundaryState, BoundaryState] | None = None,
-    near: ClearanceField | None = None,
+    problem: Problem, ends: tuple[BoundaryState, BoundaryState] | None = None, near: ClearanceField | None = None
 ) -> TimeProblem:
-    """Constraints of the fastest motion near a given one.
+    """Constraints of the fastest motion.
 
     Args:
         ends: Boundary states of the fastest motion; None for rest at both ends.
-        near: Clearances to the obstacles near the motion; None to select them.
+        near: Clearances without pairs that stay apart; None for all of the problem's.
     """
-    if near is None:
-        along = motion.position[np.linspace(0, motion.samples - 1, 33).astype(int)]
-        near = near_field(along, problem.field, NEAR_PATH_M)
     return TimeProblem(
-        problem.field, near, smoothing_options(problem, problem.margin),
+        problem.field, problem.field if near is None else near, smoothing_options(problem, problem.margin),
         motion_limits(problem), problem.robot.dynamics, problem.options.rate_hz, ends, sway_of(problem),
     )  # fmt: skip
 

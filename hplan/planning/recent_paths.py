@@ -67,13 +67,20 @@ def with_path(recent: Sequence[FloatArray], waypoints: FloatArray, robot: Robot)
 
 def _with_points(recent: Sequence[FloatArray], points: FloatArray, robot: Robot) -> tuple[FloatArray, ...]:
     known = np.concatenate([np.empty((0, robot.dof)), *recent])
-    apart = ties.on_raster(_times(points, known, robot).min(axis=1, initial=math.inf))
+    apart = ties.on_raster(_times(points, known, robot.velocity_limit).min(axis=1, initial=math.inf))
     return (*recent, frozen(points))[-_MOTIONS:] if apart.max() > _ADDS_S else tuple(recent)
 
 
-def _times(first: FloatArray, second: FloatArray, robot: Robot) -> FloatArray:
+@kernel
+def _times(first: FloatArray, second: FloatArray, velocity: FloatArray) -> FloatArray:
     """(n, m) times between configurations at the velocity limits [s]."""
-    times: FloatArray = (np.abs(first[:, None] - second) / robot.velocity_limit).max(axis=2)
+    times = np.empty((len(first), len(second)))
+    for a in range(len(first)):
+        for b in range(len(second)):
+            longest = 0.0
+            for j in range(len(velocity)):
+                longest = max(longest, abs(first[a, j] - second[b, j]) / velocity[j])
+            times[a, b] = longest
     return times
 
 
@@ -90,7 +97,7 @@ def recent_path(problem: Problem, margin: float) -> FloatArray | None:
         return None
     nodes = np.concatenate([problem.start[None], problem.goals, *problem.recent])
     sizes = [1, *(1 for _ in problem.goals), *map(len, problem.recent)]
-    times = ties.on_raster(_times(nodes, nodes, problem.robot))
+    times = ties.on_raster(_times(nodes, nodes, problem.robot.velocity_limit))
     ends = 1 + len(problem.goals)
     is_edge = _connect(times, np.repeat(np.arange(len(sizes)), sizes), ends)
     # A locked joint keeps its value, also where it had another one.

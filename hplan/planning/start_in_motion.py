@@ -200,7 +200,7 @@ def _blend_start(plan: Plan, state: BoundaryState, stopped: Trajectory | None = 
         if direct is not None:
             return replace(plan, transit=direct)
     with stage("timing"):
-        program = _admitting(time_problem(problem, transit, ends, plan.transit.near), state)
+        program = _admitting(time_problem(problem, ends, plan.transit.near), state)
         program = _with_constant_sway(program, transit)
         effort = problem.effort.begun
         slow = _slow_down(transit, state, program.limits) if is_from_rest else transit
@@ -284,7 +284,7 @@ def _move_directly(problem: Problem, state: BoundaryState) -> Motion | None:
         if spline is None:
             return None
         trajectory = spline.trajectory(problem.robot.dynamics, options.rate_hz)
-        program = _with_constant_sway(time_problem(problem, trajectory, near=problem.field), trajectory)
+        program = _with_constant_sway(time_problem(problem), trajectory)
         if not program.is_clear(spline):
             return None
     certificate = certificate_of(problem, trajectory, rest_to_rest=False, measured=False)

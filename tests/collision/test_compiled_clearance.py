@@ -15,8 +15,7 @@ from hplan.collision.coal_shapes import beyond_geometry, solid_shape
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
 from hplan.collision.compiled_clearance import body_slopes, guessed_slopes
 from hplan.collision.compiled_field import ClearanceField
-from hplan.collision.compiled_motions import mark_near, piece_is_clear, segment_is_clear
-from hplan.collision.compiled_obstacles import NODE
+from hplan.collision.compiled_motions import piece_is_clear, segment_is_clear
 from hplan.collision.compiled_placements import PLACED, place_bodies
 from hplan.collision.distance_checker import FAR
 from hplan.collision.motion_coefficients import is_moved
@@ -161,40 +160,6 @@ def test_motions_shown_clear_are_clear(arm: Robot, solids: list[Solid], seed: in
     t = np.linspace(0.0, 1.0, 40)[:, None]
     curve = (1 - t) ** 3 * piece[0] + 3 * (1 - t) ** 2 * t * piece[1] + 3 * (1 - t) * t**2 * piece[2] + t**3 * piece[3]
     assert not piece_is_clear(piece, field.arrays, 1e-3, 0.0) or field.spare_clearances(curve).min() > 5e-4
-
-
-def test_distant_obstacles_are_left_out(arm: Robot, solids: list[Solid]) -> None:
-    whole = ClearanceField.build(arm, solids)
-    path = np.array([[0.3, 0.5, 0.4, -0.3, 0.5, 0.2], [0.5, 0.6, 0.4, -0.3, 0.5, 0.2]])[:, : arm.dof]
-    near = whole.select_near(path, 0.1)
-    assert 0 < len(near.solids) < len(whole.solids)
-    clear, all_clear = near.clearance_along(path), whole.clearance_along(path)
-    assert clear[all_clear < 0.1] == pytest.approx(all_clear[all_clear < 0.1])
-    assert (clear >= all_clear - 1e-12).all()
-
-
-@given(SEEDS)
-@settings(max_examples=25)
-def test_rows_near_a_motion_are_those_of_a_plain_search(arm: Robot, solids: list[Solid], seed: int) -> None:
-    rng, distance = np.random.default_rng(seed), 0.15
-    arrays = ClearanceField.build(arm, solids).arrays
-    path = np.cumsum(np.vstack([rng.uniform(arm.lower, arm.upper), rng.normal(0.0, 0.1, (5, arm.dof))]), axis=0)
-    near, rows, expected = np.zeros(len(arrays.solids), dtype=np.bool_), arrays.solids, set[int]()
-    mark_near(path, arrays, distance, near)
-    for q in path:
-        placed, frames = np.empty(len(arrays.bodies), PLACED), np.empty((arm.dof + 1, 12))
-        place_bodies(q, arrays.bodies, arrays.joints, frames, placed)
-        for body, here in zip(arrays.bodies, placed, strict=True):
-            along, row = here["along"], 0
-            while body["is_checked"] and row < len(rows):
-                off = rows["centre"][row] - here["start"]
-                part = np.clip(off @ along / max(float(along @ along), 1e-12), 0.0, 1.0)
-                if np.linalg.norm(off - part * along) <= distance + rows["bound"][row] + body["axis_radius"]:
-                    expected.add(row)
-                elif rows["kind"][row] == NODE:
-                    row = rows["next"][row] - 1
-                row += 1
-    assert set(np.flatnonzero(near).tolist()) == expected
 
 
 @given(SEEDS)

@@ -8,7 +8,6 @@ import math
 import numpy as np
 import pytest
 from arm_variants import VARIANTS, coal_distances, from_obstacles, link_axes, load_variant, random_obstacles
-from fitted_arms import fitted
 
 from hplan.collision import compiled_obstacles
 from hplan.collision.coal_scene import CoalScene
@@ -172,7 +171,7 @@ def test_only_some_of_the_solids(robot):
 
 
 def test_ignored_solids_do_not_count_for_last_link(robot):
-    """Including clouds and hulls, and fields reduced to nearby obstacles."""
+    """Including clouds and hulls."""
     rng = np.random.default_rng(13)
     for _ in range(6):
         solids, keep = crowd(rng)
@@ -182,42 +181,9 @@ def test_ignored_solids_do_not_count_for_last_link(robot):
             expected = field.link_clearances(q, ALL)
             expected[LINKS.stop - 1] = without.link_clearances(q, ALL)[LINKS.stop - 1]
             np.testing.assert_array_equal(spared.link_clearances(q, ALL), expected)
-            near = spared.select_near(q[None], 0.1).link_clearances(q, ALL)
-            np.testing.assert_array_equal(near[expected < 0.1], expected[expected < 0.1])
         np.testing.assert_array_equal(field.ignoring_last_link(np.zeros(len(solids), dtype=bool)).solids, field.solids)
     nothing = ClearanceField.build(robot, [])
     assert nothing.ignoring_last_link(np.zeros(0, dtype=bool)).spare_clearance(np.zeros(4)) == FAR
-
-
-def test_near_a_motion_the_field_is_the_whole_one(robot):
-    """Along the motion, for all distances below the requested one."""
-    rng = np.random.default_rng(11)
-    left_out = nearer = 0
-    for distance in (0.05, 0.3):
-        for _ in range(6):
-            solids, keep = crowd(rng)
-            field = ClearanceField.build(robot, solids, clearance=keep)
-            steps = np.vstack([rng.uniform(0, 1.2, 4), rng.normal(0, 0.3, (3, 4))])
-            path = np.clip(np.cumsum(steps, axis=0), robot.lower, robot.upper)
-            some = field.select_near(path, distance)
-            left_out += len(field.solids) - len(some.solids)
-            for a, b in itertools.pairwise(path):
-                for t in np.linspace(0.0, 1.0, 25):
-                    q = a + t * (b - a)
-                    whole, part = field.link_clearances(q, ALL), some.link_clearances(q, ALL)
-                    assert (part >= whole - 1e-12).all()
-                    # Between two samples a link may come closer by its travel in half a step.
-                    near = (whole < distance - 0.025 * 7.0 * 0.5) & (whole > 0.0)
-                    np.testing.assert_allclose(part[near], whole[near], atol=1e-12)
-                    nearer += int(near.sum())
-    assert left_out > 100
-    assert nearer > 100
-
-
-def test_near_query_finds_link_off_the_plane(tmp_path):
-    aside = fitted(tmp_path, link_offsets=(0.0, 0.0, 0.5))
-    balls = [Sphere(name=f"b{y}", center=(2.0, y, 0.6), radius=0.05) for y in (0.0, 0.5)]
-    assert ClearanceField.build(aside, balls).select_near(np.zeros((1, 4)), 0.05).owner.tolist() == [1]
 
 
 # Bounds on motion
@@ -330,12 +296,8 @@ def test_groups_of_solids_change_no_distance(robot, monkeypatch):
             (field.select(kept), alone.select(kept)),
             (field.ignoring_last_link(kept), alone.ignoring_last_link(kept)),
             (field.select(kept, arm=False), alone.select(kept, arm=False)),
-            (field.select_near(q[:3], 0.2), alone.select_near(q[:3], 0.2)),
         ):
             np.testing.assert_array_equal(*(np.maximum(found.clearance_along(q), 0.0) for found in (one, other)))
-        assert set(field.select_near(q[:3], 0.2).owner.tolist()) - {-1} == set(
-            alone.select_near(q[:3], 0.2).owner.tolist()
-        ) - {-1}
 
 
 def test_without_idle_pairs_near_ones_stay(variant):

@@ -16,7 +16,6 @@ from hplan.errors import CertificationError
 from hplan.geometry.polyline import path_length
 from hplan.optimization import coarse_profile as coarse
 from hplan.optimization import several_starts
-from hplan.optimization import smooth_path as postprocess_path
 from hplan.optimization.coarse_profile import coarse_profile
 from hplan.optimization.minimize_time import Level, OptimizerEffort
 from hplan.optimization.options import PostprocessOptions
@@ -327,21 +326,6 @@ def test_clear_straight_motion_stays_straight(robot, options):
         found = clear_path(path, field, free)
         np.testing.assert_allclose(found.evaluate([0.0, 0.5 * found.end, found.end]), [start, 0.5 * (start + end), end])
         assert found.length == pytest.approx(np.linalg.norm(end - start))
-
-
-def test_culled_obstacles_are_not_touched(robot, options, monkeypatch):
-    """With few obstacles in the search the proof still has all; the search repeats."""
-    monkeypatch.setattr(postprocess_path, "NEAR", 1e-6)
-    monkeypatch.setattr(postprocess_path, "FEW", 0)
-    ball = Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15)
-    field, checker = ClearanceField.build(robot, [ball]), CoalScene(robot, [ball])
-    path = np.radians([[0, 0, 0, 0], [0, 0, 90, 90], [0, 60, 90, 90], [0, 60, 0, 0]])
-    assert field.is_clear(path, 1e-4)
-    unseen = field.select_near(path, 1e-6)
-    assert len(unseen.solids) == 0
-    assert not clear_path(path, unseen, options).is_clear(field, 1e-6)  # would go straight through the ball
-    found = clear_path(path, field, options)
-    assert_kept(robot, checker, found, path[0], path[-1])
 
 
 START, GOAL = np.array([0.15, 1.2, 0.3, 0.3]), np.array([0.15, 0.1, 0.3, 0.3])

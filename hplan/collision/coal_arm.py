@@ -353,11 +353,18 @@ def supports(robot: Robot, obstacles: Sequence[Solid]) -> BoolArray:
     bodies = collision_bodies(robot)
     found = np.zeros((len(bodies), len(obstacles)), dtype=np.bool_)
     if len(obstacles):
-        for number in np.flatnonzero(is_moved(robot)).tolist():
-            joint = bodies[number].joint
-            if len(carriers(robot, joint)) == 1 and not robot.slides[joint]:
-                found[number] = _supports(robot, bodies[number], body_shapes(robot)[number], obstacles)
+        for number in _turning_bodies(robot):
+            found[number] = _supports(robot, bodies[number], body_shapes(robot)[number], obstacles)
     return found
+
+
+@made_once
+def _turning_bodies(robot: Robot) -> tuple[int, ...]:
+    """Indices of the bodies that one joint turns, and no other moves."""
+    joints = {number: collision_bodies(robot)[number].joint for number in np.flatnonzero(is_moved(robot)).tolist()}
+    return tuple(
+        number for number, joint in joints.items() if len(carriers(robot, joint)) == 1 and not robot.slides[joint]
+    )
 
 
 def _supports(robot: Robot, body: CollisionBody, shape: pin.GeometryObject, obstacles: Sequence[Solid]) -> BoolArray:
@@ -370,9 +377,15 @@ def _supports(robot: Robot, body: CollisionBody, shape: pin.GeometryObject, obst
     below = np.array([float(along.max()) + rounding for along, rounding in ends]) <= low + BASE_DEPTH
     above = np.array([float(along.min()) - rounding for along, rounding in ends]) >= high - BASE_DEPTH
     rate = float(np.linalg.norm(body.core - np.outer(heights, axis), axis=1).max()) + body.rounding
+    # A ball that contains the body at every value of the joint.
+    centre, radius = place.translation + 0.5 * (low + high) * turned, math.hypot(rate, 0.5 * (high - low))
     found = np.zeros(len(obstacles), dtype=np.bool_)
     for number in np.flatnonzero(below | above).tolist():
-        asked = distance_from(obstacles[number])
+        solid = obstacles[number]
+        nearest = np.clip(centre, solid.core.min(axis=0), solid.core.max(axis=0))
+        if np.linalg.norm(nearest - centre) > radius + solid.rounding + 2.0 * BASE_DEPTH:
+            continue
+        asked = distance_from(solid)
 
         def distance(value: float, asked: Callable[[coal.CollisionGeometry, pin.SE3], float] = asked) -> float:
             turn = pin.SE3(pin.AngleAxis(value, axis).toRotationMatrix(), np.zeros(3))

@@ -54,10 +54,11 @@ from hplan.online.frame_check import (
 from hplan.online.frame_kernels import Scratch
 from hplan.online.seen_space import UNSEEN, NextView, SeenSpace, shows, sweep
 from hplan.online.splice import RunningMotion, SplicedResult
+from hplan.planning.growing_trees import Pairs
 from hplan.planning.motion import Motion
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task, solve_scene
-from hplan.planning.problem import Problem
+from hplan.planning.problem import NO_MEMORY, Problem, SearchMemory
 from hplan.planning.recent_paths import with_motion, with_path
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
@@ -131,6 +132,7 @@ class Planner:
         self._seen: dict[str, SeenPoints] = {}
         self._scratch = Scratch()
         self._recent: tuple[FloatArray, ...] = ()
+        self._pairs = Pairs()
         self._space: SeenSpace | None = None
         self._known_since_s = -math.inf
 
@@ -262,6 +264,13 @@ class Planner:
         else:
             self._recent = with_motion(self._recent, plan.trajectory, plan.robot)
 
+    def _memory(self, scene: Scene, options: PlanOptions) -> SearchMemory:
+        """What earlier searches found: trees among obstacles that rest, if a first motion is wanted at once."""
+        while len(self._pairs) > _PAIRS:
+            del self._pairs[next(iter(self._pairs))]
+        grows_on = (options.at_once or options.deadline_s is not None) and not scene.moves
+        return SearchMemory(self._recent, self._pairs if grows_on else None)
+
     def stop_at(self, t: float, *, now: float | None = None, measured: ArrayLike | None = None) -> CertifiedMotion:
         """Return the last motion with the fastest stop on its path.
 
@@ -370,10 +379,10 @@ class Planner:
         self._check_clouds(scene, options, begins_s)
         self._check_known(scene)
         shown = scene if math.isnan(begin) else scene.starting_at(begin)
-        recent = () if before is None else self._recent
+        memory = NO_MEMORY if before is None else self._memory(scene, options)
         if before is not None and before.problem.robot.attached != scene.attached:
             before = None  # its torques are those of another load
-        problem = replace(Problem.from_scene(self.robot, shown, options), recent=recent)
+        problem = replace(Problem.from_scene(self.robot, shown, options), memory=memory)
         found = solve_scene(problem, before=before)
         self._remember(found)
         self.last = self._with_ages(replace(found, begins_s=begin), scene, begins_s)
@@ -405,7 +414,7 @@ class Planner:
         if self.last is None:
             raise InputError("there is no running motion: plan one first")
         self._is_told = True
-        return RunningMotion(self.last, scene, options, now, measured, self._recent)
+        return RunningMotion(self.last, scene, options, now, measured, self._memory(scene, options))
 
     @contextmanager
     def _turn(self, cancel: Cancel | None) -> Iterator[None]:
@@ -861,6 +870,9 @@ _ON_PATH = 1e-3
 
 #: Differences of lengths up to this count as zero [m].
 _SAME_M = 1e-9
+
+#: Number of pairs of trees that grow on in later searches.
+_PAIRS = 8
 
 _Model = TypeVar("_Model", bound=StrictModel)
 _Result = TypeVar("_Result", bound=PlanResult)

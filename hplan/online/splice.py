@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arguments import number
-from hplan.base.arrays import FloatArray, numbers
+from hplan.base.arrays import numbers
 from hplan.certificate.certificate import (
     Certificate,
     all_of,
@@ -48,7 +48,7 @@ from hplan.planning.in_time import without_moving
 from hplan.planning.motion import require_certificate
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import solve_scene
-from hplan.planning.problem import Problem
+from hplan.planning.problem import NO_MEMORY, Problem, SearchMemory
 from hplan.planning.result import PlanResult
 from hplan.planning.world import World
 from hplan.scene.model import Scene, Start
@@ -107,7 +107,7 @@ class RunningMotion:
         options: PlanOptions,
         now: float | None,
         measured: ArrayLike | None,
-        recent: tuple[FloatArray, ...] = (),
+        memory: SearchMemory = NO_MEMORY,
     ) -> None:
         """Take over a running motion now.
 
@@ -117,7 +117,7 @@ class RunningMotion:
             options: Planning options.
             now: Time on the controller's clock [s]; None for the start of the motion.
             measured: (dof,) current configuration of the arm; None to assume that it is on the motion.
-            recent: Configurations along recent motions, as for `Problem`.
+            memory: What earlier searches found, as for `Problem`.
 
         Raises:
             InputError: The start time of the motion is unknown, or `measured` is not a configuration.
@@ -130,7 +130,7 @@ class RunningMotion:
                 "afterwards"
             )
         time, scene = plan.trajectory.time, scene.starting_at(plan.begins_s)
-        self.plan, self._scene, self._options, self._recent = plan, scene, options, recent
+        self.plan, self._scene, self._options, self._memory = plan, scene, options, memory
         self._robot = holding(plan.robot, scene.attached)
         # Clocks of controllers are sums of small steps, and may be large numbers.
         self._same_s = SAME_TIME + 4.0 * math.ulp(plan.begins_s)
@@ -218,7 +218,7 @@ class RunningMotion:
                 return self.plan.trajectory.cut_before(seam)
             return stop_motion(self.plan.trajectory, float(time[seam]), self._robot).trajectory.cut_before(seam)
 
-        problem = replace(Problem.from_scene(self._robot, scene, self._options), recent=self._recent)
+        problem = replace(Problem.from_scene(self._robot, scene, self._options), memory=self._memory)
         try:
             new = solve_scene(problem, stop=stop, at_once=None if kept is None else False)
         except HplanError as error:

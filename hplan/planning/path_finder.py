@@ -21,9 +21,10 @@ from hplan.optimization.shortcut import shorten
 from hplan.optimization.smooth_path import START_SHORTCUTS
 from hplan.planning.effort import FAR_FROM_BOUND
 from hplan.planning.failures import FailuresError
+from hplan.planning.growing_trees import Pairs
 from hplan.planning.problem import Problem
 from hplan.planning.recent_paths import recent_path
-from hplan.planning.rrt_connect import Pairs, tree_path
+from hplan.planning.rrt_connect import tree_path
 from hplan.planning.stages import stage
 from hplan.robot.limits import clock_at_limits
 
@@ -289,7 +290,7 @@ class FirstPaths(PathFinder):
         if known is not None:
             yield known._replace(goal=left[known.goal])
         for seed in range(problem.effort.seed, problem.effort.seed + pairs):
-            path, _ = tree_to_any(remaining, queries, seed)
+            path, _ = tree_to_any(remaining, queries, seed, self.pairs)
             if path is not None:
                 yield path._replace(goal=left[path.goal])
 

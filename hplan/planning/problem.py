@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +16,7 @@ from hplan.collision.held_objects import holding
 from hplan.errors import InputError
 from hplan.optimization.minimize_time import OptimizerEffort
 from hplan.planning.effort import Effort, efforts_of
+from hplan.planning.growing_trees import Pairs
 from hplan.planning.options import PlanOptions
 from hplan.planning.pose_goal import STARTS
 from hplan.planning.specialist import narrow_ranges, presets_of
@@ -25,6 +27,22 @@ from hplan.scene.model import Scene
 
 #: Clearance required beyond the scene's own during motions [m]; less if start or goal have less.
 MARGIN = 2e-3
+
+
+class SearchMemory(NamedTuple):
+    """What earlier searches of a planner found.
+
+    Attributes:
+        motions: (n, dof) configurations along each of some recent motions (`hplan.planning.recent_paths`).
+        pairs: Trees that grow on, among obstacles that have not changed; None for new ones.
+    """
+
+    motions: tuple[FloatArray, ...] = ()
+    pairs: Pairs | None = None
+
+
+#: Nothing is known from earlier searches.
+NO_MEMORY = SearchMemory()
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +67,7 @@ class Problem(Record):
         is_draft: True if motions are not certified: each only starts the optimizer of another one.
         pose_starts: Numbers of starts of the inverse kinematics at a goal pose, tried in order until a configuration is
             collision-free.
-        recent: (n, dof) configurations along each of some recent motions (`hplan.planning.recent_paths`).
+        memory: What earlier searches found.
     """
 
     robot: Robot
@@ -65,7 +83,7 @@ class Problem(Record):
     other_world: World | None = None
     is_draft: bool = False
     pose_starts: tuple[int, ...] = STARTS
-    recent: tuple[FloatArray, ...] = ()
+    memory: SearchMemory = NO_MEMORY
 
     @classmethod
     def from_scene(cls, robot: Robot, scene: Scene, options: PlanOptions) -> Problem:

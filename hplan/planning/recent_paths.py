@@ -90,13 +90,13 @@ def recent_path(problem: Problem, margin: float) -> FloatArray | None:
     None if there is none, or too many edges are blocked.
 
     Args:
-        problem: The problem, with `recent` motions.
+        problem: The problem, whose `memory` has recent motions.
         margin: Clearance required beyond the scene's own at each evaluated configuration [m].
     """
-    if not problem.recent:
+    if not problem.memory.motions:
         return None
-    nodes = np.concatenate([problem.start[None], problem.goals, *problem.recent])
-    sizes = [1, *(1 for _ in problem.goals), *map(len, problem.recent)]
+    nodes = np.concatenate([problem.start[None], problem.goals, *problem.memory.motions])
+    sizes = [1, *(1 for _ in problem.goals), *map(len, problem.memory.motions)]
     times = ties.on_raster(_times(nodes, nodes, problem.robot.velocity_limit))
     ends = 1 + len(problem.goals)
     is_edge = _connect(times, np.repeat(np.arange(len(sizes)), sizes), ends)

@@ -17,7 +17,7 @@ same path on every machine. If no path is found, nothing is proved.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,11 +28,15 @@ from hplan.collision.compiled_clearance import body_slopes
 from hplan.collision.compiled_motions import shown_part, straight_piece
 from hplan.collision.compiled_obstacles import FieldArrays
 from hplan.kinematics.damped_steps import Chain, solve
+from hplan.planning.growing_trees import MOST_NODES, Pair, Pairs, Tree
 from hplan.planning.problem import Problem
 from hplan.planning.upright_paths import upright_chain
 
-#: Number of samples drawn at a time, and maximum number of nodes of a tree.
-_CHUNK, _MOST_NODES = 500, 20_000
+#: Number of samples drawn at a time.
+_CHUNK = 500
+
+#: Fraction of the distance queries with which trees grow on for another start.
+_AGAIN = 0.125
 
 #: Maximum and minimum length of an edge, as displacement of the arm [m].
 EDGE_M, LEAST_M = 0.3, 0.002
@@ -70,51 +74,6 @@ _GOLDEN = 0.6180339887498949
 
 #: Maximum distance of a sample beyond start and goals in any joint [rad, m].
 _FAR_SAMPLE = 4.0 * np.pi
-
-
-class Tree(NamedTuple):
-    """Nodes of one tree.
-
-    Attributes:
-        points: (capacity, dof) configurations.
-        parents: (capacity,) numbers of the parent nodes.
-        size: (1,) number of nodes.
-        failed: (1,) moving average of the fraction of failed extensions toward samples.
-        clear: (capacity, bodies) clearances of the bodies nearest to obstacles at a node, the nearest first; the first
-            is NaN as long as no extension from the node has failed [m].
-        slopes: (capacity, bodies, dof) their gradients [m/rad, m/m].
-    """
-
-    points: FloatArray
-    parents: IntArray
-    size: IntArray
-    failed: FloatArray
-    clear: FloatArray
-    slopes: FloatArray
-
-
-class Pair(NamedTuple):
-    """Two trees that have not met yet and can grow on.
-
-    Attributes:
-        first: The tree at the start.
-        second: The tree at the goals.
-        generator: Generator of the samples.
-        samples: The current samples; those before the second entry of `looks` are used up.
-        looks: (2,) remaining distance queries, and number of the next sample.
-        evaluations: Total budget of distance queries up to now.
-    """
-
-    first: Tree
-    second: Tree
-    generator: np.random.Generator
-    samples: FloatArray
-    looks: IntArray
-    evaluations: int
-
-
-#: Pairs by seed, margin, identity of the field, and goals.
-Pairs: TypeAlias = dict[tuple[int, float, int, bytes], Pair]
 
 
 class Metric(NamedTuple):
@@ -169,14 +128,18 @@ def tree_path(
         evaluations: Maximum number of distance queries, each of all links at one configuration.
         seed: Seed of the samples.
         goals: (k, dof) alternative goals, whichever is reached first; None for the problem's first goal.
-        pairs: Pairs of trees from the same start that have grown with less effort. This pair grows on, and stays there
-            if its trees do not meet. None to start from the roots.
+        pairs: Pairs of trees to the same goals that have not met yet. This pair grows on with what is left of the
+            budget, or from another start with a part of it, and stays there if its trees do not meet, also after a
+            deadline. None to start from the roots.
 
     Returns:
         (m, dof) waypoints, m >= 2, or None if no path was found; and the number of distance queries.
+
+    Raises:
+        TimeIsUpError: The deadline has passed.
     """
     ends = np.array(problem.goal[None] if goals is None else goals)
-    key = seed, margin, id(problem.field), ends.tobytes()
+    key = seed, margin, id(problem.field), b"".join(part.tobytes() for part in (ends, problem.lower, problem.upper))
     known = None if pairs is None else pairs.pop(key, None)
     chain = upright_chain(problem)
     metric = displacement_metric(problem) if len(chain) == 0 else upright_metric(problem)
@@ -185,21 +148,38 @@ def tree_path(
     if known is None:
         generator, nothing = np.random.Generator(np.random.PCG64(seed)), np.zeros((0, len(problem.start)))
         looks = np.zeros(2, dtype=np.int64)
-        known = Pair(_tree(problem.start[None]), _tree(ends), generator, nothing, looks, 0)
-    first, second, generator, samples, looks, before = known
-    looks[0] += evaluations - before
+        known = Pair(_tree(problem.start[None]), _tree(ends), generator, nothing, looks, 0, problem.field)
+    first, second, generator, samples, looks, before, _ = known
+    given = evaluations
+    looks[0] += max(0, evaluations - before)
+    if (first.points[_root(first)] != problem.start).any():
+        looks[0] += round(_AGAIN * evaluations)
+        given, first = int(looks[0]), _from_start(first, problem, margin)
     path = None
-    while path is None and looks[0] > 0 and max(first.size[0], second.size[0]) < _MOST_NODES - _CHUNK:
-        if looks[1] == len(samples):
-            samples, looks[1] = _samples(generator, problem, ends, arm), 0
-        joined = _grow(samples, first, second, arm, chain, looks)
-        check_deadline()
-        if joined[0] >= 0:
-            there = np.concatenate([_branch(first, int(joined[0]))[::-1], _branch(second, int(joined[1]))])
-            path = frozen(there[np.append(True, (np.diff(there, axis=0) != 0.0).any(axis=1))])
-    if path is None and pairs is not None:
-        pairs[key] = Pair(first, second, generator, samples, looks, evaluations)
-    return path, evaluations - int(looks[0])
+    try:
+        while path is None and looks[0] > 0 and max(first.size[0], second.size[0]) < MOST_NODES - _CHUNK:
+            if looks[1] == len(samples):
+                samples, looks[1] = _samples(generator, problem, ends, arm), 0
+            joined = _grow(samples, first, second, arm, chain, looks)
+            check_deadline()
+            if joined[0] >= 0:
+                there = np.concatenate([_branch(first, int(joined[0]))[::-1], _branch(second, int(joined[1]))])
+                path = frozen(there[np.append(True, (np.diff(there, axis=0) != 0.0).any(axis=1))])
+    finally:
+        if path is None and pairs is not None:
+            pairs[key] = Pair(first, second, generator, samples, looks, max(before, evaluations), problem.field)
+    return path, given - int(looks[0])
+
+
+def _from_start(tree: Tree, problem: Problem, margin: float) -> Tree:
+    """The tree with the problem's start as its root if the way from there to its root is clear, else a new one."""
+    size = int(tree.size[0])
+    if size == MOST_NODES or not problem.field.is_clear(np.stack([problem.start, tree.points[_root(tree)]]), margin):
+        return _tree(problem.start[None])
+    tree.points[size], tree.clear[size] = problem.start, np.nan
+    tree.parents[_root(tree)] = tree.parents[size] = size
+    tree.size[0] += 1
+    return tree
 
 
 def displacement_metric(problem: Problem) -> Metric:
@@ -247,9 +227,9 @@ def _samples(generator: np.random.Generator, problem: Problem, goals: FloatArray
 def _tree(roots: FloatArray) -> Tree:
     """A tree with roots alone, each its own parent."""
     count, dof = roots.shape
-    parents, size = np.zeros(_MOST_NODES, dtype=np.int64), np.array([count], dtype=np.int64)
-    near = _MOST_NODES, int(_NEAR_BODIES)
-    tree = Tree(np.empty((_MOST_NODES, dof)), parents, size, np.zeros(1), np.empty(near), np.empty((*near, dof)))
+    parents, size = np.zeros(MOST_NODES, dtype=np.int64), np.array([count], dtype=np.int64)
+    near = MOST_NODES, int(_NEAR_BODIES)
+    tree = Tree(np.empty((MOST_NODES, dof)), parents, size, np.zeros(1), np.empty(near), np.empty((*near, dof)))
     tree.points[:count], tree.parents[:count], tree.clear[:count] = roots, np.arange(count), np.nan
     return tree
 
@@ -260,6 +240,14 @@ def _branch(tree: Tree, node: int) -> FloatArray:
     while (parent := int(tree.parents[nodes[-1]])) != nodes[-1]:
         nodes.append(parent)
     return np.array(tree.points[nodes])
+
+
+def _root(tree: Tree) -> int:
+    """Number of the root of a tree's first node."""
+    node = 0
+    while tree.parents[node] != node:
+        node = int(tree.parents[node])
+    return node
 
 
 @kernel

@@ -19,6 +19,7 @@ from hplan.base.arrays import frozen
 from hplan.errors import CertificationError, HplanError, NoPathError, NotFoundError, TimingError
 from hplan.optimization.repair import repair
 from hplan.planning.failures import FailuresError
+from hplan.planning.growing_trees import Pairs
 from hplan.planning.motion import Motion, best_of, certificate_of, improve, motion_along, quickest, require_certificate
 from hplan.planning.path_finder import (
     FirstPaths,
@@ -31,7 +32,6 @@ from hplan.planning.path_finder import (
     is_straight_clear,
 )
 from hplan.planning.problem import Problem
-from hplan.planning.rrt_connect import Pairs
 from hplan.planning.specialist import specialist_of
 from hplan.trajectory.retime import rest_at
 
@@ -59,7 +59,7 @@ def motions(problem: Problem) -> Iterator[Found]:
         yield at_goal, _rest(problem.with_goals(at_goal))
         return
     failures: dict[int, HplanError] = {}
-    left, pairs = list(range(len(problem.goals))), Pairs()
+    left, pairs = list(range(len(problem.goals))), Pairs() if problem.memory.pairs is None else problem.memory.pairs
     for finder in finders_of(problem):
         remaining = problem.with_goals(*left)
         finder.durations, finder.pairs = np.full(len(left), math.inf), pairs

@@ -14,7 +14,7 @@ from hplan.planning.effort import efforts_of
 from hplan.planning.options import PlanOptions
 from hplan.planning.path_finder import path_along_recent
 from hplan.planning.plan import plan
-from hplan.planning.problem import Problem, merge_problems
+from hplan.planning.problem import Problem, SearchMemory, merge_problems
 from hplan.planning.recent_paths import recent_path, with_motion, with_path
 from hplan.planning.solver import motions
 from hplan.planning.specialist import presets_of
@@ -49,7 +49,7 @@ def back(robot: Robot, obstacles: list[Sphere], known: Trajectory, goal: tuple[f
     start = tuple(angle + 2.0 for angle in LEFT)
     problem = posed(robot, task(start, goal, obstacles), OPTIONS)
     first = efforts_of(presets_of(robot), OPTIONS)[0]
-    return replace(problem, effort=first, recent=with_motion((), known, robot))
+    return replace(problem, effort=first, memory=SearchMemory(with_motion((), known, robot)))
 
 
 def assert_path(robot: Robot, problem: Problem, path: np.ndarray) -> None:
@@ -70,7 +70,7 @@ def test_it_leads_around_what_blocks_the_straight_line(robot: Robot, ball: Spher
     found = [motion for _, motion in motions(problem)]
     assert found[0].origin == "recent"
     assert found[0].certificate.verified
-    assert next(motion.origin for _, motion in motions(replace(problem, recent=()))) != "recent"
+    assert next(motion.origin for _, motion in motions(replace(problem, memory=SearchMemory()))) != "recent"
 
 
 def test_edges_that_became_blocked_are_not_taken(robot: Robot, ball: Sphere, around: Trajectory) -> None:
@@ -93,9 +93,9 @@ def test_locked_joints_keep_their_values(robot: Robot, ball: Sphere, around: Tra
     assert np.ptp(around.position[:, moved]) > 0.05
     problem = posed(robot, task(LEFT, RIGHT, [ball], locked_joints=(robot.joint_names[moved],)), OPTIONS)
     known = with_motion((), around, robot)
-    assert recent_path(replace(problem, recent=known), 1e-4) is None
+    assert recent_path(replace(problem, memory=SearchMemory(known)), 1e-4) is None
     problem = posed(robot, task(LEFT, RIGHT, [ball]), OPTIONS)
-    assert recent_path(replace(problem, recent=known), 1e-4) is not None
+    assert recent_path(replace(problem, memory=SearchMemory(known)), 1e-4) is not None
 
 
 def test_motions_that_lead_nowhere_else_are_not_remembered(robot: Robot, around: Trajectory) -> None:

@@ -12,10 +12,12 @@ from planned import problem_between
 
 import hplan.planning.path_finder
 from hplan.base.arrays import FloatArray
+from hplan.base.deadline import TimeIsUpError, time_limit
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.compiled_clearance import body_slopes
 from hplan.optimization.shortcut import shorten
 from hplan.optimization.smooth_path import START_SHORTCUTS
+from hplan.planning.growing_trees import Pairs
 from hplan.planning.path_finder import (
     LongTrees,
     Path,
@@ -29,7 +31,6 @@ from hplan.planning.path_finder import (
 from hplan.planning.problem import Problem
 from hplan.planning.rrt_connect import (
     EDGE_M,
-    Pairs,
     Surroundings,
     _extend,
     _find_near_bodies,
@@ -106,6 +107,49 @@ def test_trees_grown_in_steps_equal_trees_grown_in_one_call(blocked: tuple[Probl
     assert in_all == used
     assert pair.first.size[0] + pair.second.size[0] > before > 2
     assert not pairs
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_trees_grow_on_from_another_start(blocked: tuple[Problem, World], seed: int) -> None:
+    problem, world = blocked
+    _, needed = tree_path(problem, MARGIN, 50_000, seed)
+    pairs, budget, path, calls = Pairs(), needed // 3, None, 0
+    while path is None and calls < 30:
+        start = START + calls * np.array([0.002, 0.0, 0.002, 0.0])
+        path, used = tree_path(problem_between(world, start, GOAL), MARGIN, budget, seed, pairs=pairs)
+        assert used < 1.5 * budget
+        calls += 1
+    assert path is not None
+    assert 2 < calls < 30
+    np.testing.assert_array_equal(path[[0, -1]], [start, GOAL])
+    assert world.field.is_clear(path, 0.5 * MARGIN)
+    assert not pairs
+
+
+def test_trees_from_a_start_out_of_sight_grow_anew_and_those_at_the_goal_on(blocked: tuple[Problem, World]) -> None:
+    problem, world = blocked
+    pairs = Pairs()
+    assert tree_path(problem, MARGIN, 100, 0, pairs=pairs)[0] is None
+    (before,) = pairs.values()
+    beyond = GOAL + np.array([0.2, 0.0, 0.0, 0.0])
+    assert not world.field.is_clear(np.stack([beyond, START]), MARGIN)
+    tree_path(problem_between(world, beyond, GOAL), MARGIN, 100, 0, pairs=pairs)
+    for pair in pairs.values():
+        np.testing.assert_array_equal(pair.first.points[0], beyond)
+        assert pair.second is before.second
+
+
+def test_trees_are_kept_when_the_deadline_is_over(blocked: tuple[Problem, World]) -> None:
+    problem, _ = blocked
+    pairs, trees = Pairs(), list[int]()
+    for _ in range(2):
+        with pytest.raises(TimeIsUpError), time_limit(0.0):
+            tree_path(problem, MARGIN, 50_000, 0, pairs=pairs)
+        (pair,) = pairs.values()
+        trees.append(int(pair.looks[0]))
+    assert trees[0] > 0
+    assert trees[1] <= trees[0]
+    assert tree_path(problem, MARGIN, 50_000, 0, pairs=pairs)[0] is not None
 
 
 def slot(robot: Robot) -> Problem:

@@ -26,17 +26,19 @@ from hplan.online.planner import Planner
 from hplan.online.splice import SplicedResult
 from hplan.online.splice import _state_at as state_at
 from hplan.optimization.timed_spline import BoundaryState
-from hplan.planning import start_in_motion
+from hplan.planning import plans, start_in_motion
 from hplan.planning.effort import QUICK_START
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.plans import plans_from_rest
 from hplan.planning.problem import Problem
 from hplan.planning.result import PlanResult
+from hplan.planning.solver import motions
 from hplan.robot.limits import least_duration_between
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
+from hplan.scene.tracks import Track
 from hplan.trajectory.trajectory import Trajectory, join_trajectories
 
 POST = post("post", 0.0, 1.1, 0.0, 1.5)
@@ -476,3 +478,41 @@ def test_stop_of_a_certified_motion_is_certified_anew_after_a_change(robot, chan
     else:
         planner.options = PlanOptions(tracking_error=0.5)
     assert not planner.stop_at(0.4, now=0.2).certificate.verified
+
+
+@pytest.mark.parametrize(
+    ("options", "moves", "grow_on"),
+    [
+        ({"at_once": True}, False, True),
+        ({"deadline_s": 30.0}, False, True),
+        ({}, False, False),
+        ({"at_once": True}, True, False),
+    ],
+)
+def test_trees_grow_on_if_a_first_motion_is_wanted_soon(robot, monkeypatch, options, moves, grow_on):
+    x, y, z = robot.tool_positions(np.radians([[0.0, 45.0, 40.0, 30.0]]))[0].tolist()
+    ball = Sphere(name="ball", center=(x, y, z), radius=0.3)
+    if moves:
+        ball = ball.model_copy(
+            update={"track": Track(times_s=(0.0, 60.0), shifts_m=((0.0, 0.0, 0.0), (0.0, 0.0, 0.1)))}
+        )
+    scene = task((-40.0, 45.0, 40.0, 30.0), (40.0, 45.0, 40.0, 30.0), [ball])
+    planner, given = Planner(robot, scene, PlanOptions(effort="quick", **options)), []
+    before = planner.plan()
+
+    def remembered(problem: Problem):
+        given.append(problem.memory.pairs)
+        return motions(problem)
+
+    monkeypatch.setattr(plans, "motions", remembered)
+    planner.scene = planner.scene.with_values(goal=Goal(joints_deg=(45.0, 50.0, 40.0, 30.0)))
+    at_s = 0.2 * before.trajectory.duration
+    for _ in range(2):
+        assert planner.replan(at=at_s, now=0.1).certificate.verified
+        planner.last = before
+    assert given
+    if not grow_on:
+        assert given == [None] * len(given)
+    else:
+        assert given[0] is not None
+        assert all(pairs is given[0] for pairs in given)

@@ -236,6 +236,8 @@ class Planner:
                 "begins_s", begins_s, "None with `at`: a splice takes its start time from the running motion"
             )
         with self._turn(cancel):
+            for key in list(self._pairs)[:-_PAIRS]:
+                del self._pairs[key]
             if at is None:
                 return self._from_rest(begins_s, None if self.last is None else self.last.motion)
             scene, options, known_s = self.scene, self.options, at if now is None else now
@@ -266,8 +268,6 @@ class Planner:
 
     def _memory(self, scene: Scene, options: PlanOptions) -> SearchMemory:
         """What earlier searches found: trees among obstacles that rest, if a first motion is wanted at once."""
-        while len(self._pairs) > _PAIRS:
-            del self._pairs[next(iter(self._pairs))]
         grows_on = (options.at_once or options.deadline_s is not None) and not scene.moves
         return SearchMemory(self._recent, self._pairs if grows_on else None)
 

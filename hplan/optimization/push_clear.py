@@ -35,12 +35,7 @@ _STALLED, _SHRUNK = 8, 0.9
 
 
 def clear_spline(
-    path: FloatArray,
-    field: ClearanceField,
-    options: PostprocessOptions,
-    *,
-    count: int,
-    margin: float,
+    path: FloatArray, field: ClearanceField, options: PostprocessOptions, *, count: int, margin: float
 ) -> SplinePath | None:
     """Fit a spline to a collision-free polyline and push it off obstacles.
 

@@ -139,6 +139,16 @@ def test_trees_from_a_start_out_of_sight_grow_anew_and_those_at_the_goal_on(bloc
         assert pair.second is before.second
 
 
+def test_trees_of_other_joint_limits_do_not_grow_on(blocked: tuple[Problem, World]) -> None:
+    problem, world = blocked
+    pairs = Pairs()
+    for other in (problem, problem_between(world, START, GOAL, locked_joints=("base_yaw",))):
+        assert tree_path(other, MARGIN, 100, 0, pairs=pairs)[0] is None
+    assert len(pairs) == 2
+    turned = [np.ptp(pair.first.points[: pair.first.size[0], 0]) for pair in pairs.values()]
+    assert turned[0] > 0.0 == turned[1]
+
+
 def test_trees_are_kept_when_the_deadline_is_over(blocked: tuple[Problem, World]) -> None:
     problem, _ = blocked
     pairs, trees = Pairs(), list[int]()

@@ -1,8 +1,8 @@
 """Measure hplan and other planners: all studies in one command, with comparisons.
 
 Rows of numbers are written as they are computed, then tables. Peers, with --peer: OMPL's planners, toppra on their
-paths, roboplan (extra bench). Times are CPU times of a thread; compare ratios within one run only. Without names all
-studies run that need no further input.
+paths, roboplan (extra bench), vamp-planner (from source code). Times are CPU times of a thread; compare ratios within
+one run only. Without names all studies run that need no further input.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ STUDIES = {
 }
 
 #: Other planners that can solve the problems of a study.
-PEERS = ("RRTConnect", "BITstar", "roboplan")
+PEERS = ("RRTConnect", "BITstar", "roboplan", "vamp")
 
 _EPILOG = """\
 writes into DIR: STUDY.jsonl, with options and environment in its first line and then one row per line; and

@@ -7,13 +7,12 @@ until the arm keeps `FREE_M` clear of everything, and the tool positions are at 
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 
 import numpy as np
 from studies.harness import Row, Study, StudyConfig
 from studies.measure import planned, timed
-from studies.outside import contacts, path_is_clear
+from studies.outside import contacts, polyline_is_clear
 from studies.peers import ompl_path, seed_ompl, world_of
 from studies.validation.random_worlds import direction
 
@@ -137,9 +136,8 @@ def free_ends_of(
     return None
 
 
-#: Resolutions of OMPL's motion checks, tried in turn, as fractions of the space's extent; its time limit [s]; distance
-#: between independent checks of a path, of the joint that moves most [rad].
-FINE, FIND_S, EVERY_RAD = (0.002, 0.0005), 5.0, 5e-3
+#: Resolutions of OMPL's motion checks, tried in turn, as fractions of the space's extent; its time limit [s].
+FINE, FIND_S = (0.002, 0.0005), 5.0
 
 
 def _random(config: StudyConfig, number: int) -> Row:
@@ -147,7 +145,7 @@ def _random(config: StudyConfig, number: int) -> Row:
     robot = config.arm()
     scene = random_scene(robot, config.seed, number)
     goal = scene.goal.configuration
-    straight = _is_clear(robot, scene, np.array([scene.start.configuration, goal]))
+    straight = polyline_is_clear(robot, scene, np.array([scene.start.configuration, goal]))
     row: Row = {"name": scene.name, "straight": straight}
     if config.peer is not None:
         seed_ompl(config.seed)
@@ -155,7 +153,7 @@ def _random(config: StudyConfig, number: int) -> Row:
         for fine in FINE:
             path, ms = timed(lambda fine=fine: ompl_path(world, scene, goal, seconds=FIND_S, resolution=fine))  # type: ignore[misc]
             row["peer_ms"] += ms
-            row["peer_solved"] = path is not None and _is_clear(robot, scene, path)
+            row["peer_solved"] = path is not None and polyline_is_clear(robot, scene, path)
             if path is None or row["peer_solved"]:
                 break
     found, result = planned(robot, scene, PlanOptions(effort=config.effort))
@@ -163,13 +161,6 @@ def _random(config: StudyConfig, number: int) -> Row:
     if found is not None:
         row["contacts"] = sum(contacts(robot, scene, found.trajectory))
     return row | {"fault": row.get("contacts", 0) > 0 or row.get("fault", False)}
-
-
-def _is_clear(robot: Robot, scene: Scene, path: FloatArray) -> bool:
-    """True if the straight motions between a path's waypoints are collision-free."""
-    ends = itertools.pairwise(path)
-    parts = [np.linspace(a, b, max(2, int(np.ceil(np.abs(b - a).max() / EVERY_RAD)) + 1)) for a, b in ends]
-    return path_is_clear(robot, scene, np.concatenate(parts))
 
 
 RANDOM = Study(

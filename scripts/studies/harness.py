@@ -45,7 +45,7 @@ class StudyConfig:
         step: Distance of the numbers of the problems.
         seed: Random seed of the problems, and of sampling-based planners.
         effort: hplan's effort preset.
-        peer: Another planner for the same problems: one of OMPL's planners or roboplan; None for none.
+        peer: Another planner for the same problems: one of OMPL's planners, roboplan or vamp-planner; None for none.
         robot: The arm, if a study takes any; None for its own.
         trees: Folder of measured trees, a CSV of capsules each.
         files: Folder of problems in files.

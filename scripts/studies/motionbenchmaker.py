@@ -19,7 +19,7 @@ from __future__ import annotations
 import re
 import tarfile
 from collections import defaultdict, deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -31,7 +31,7 @@ import pinocchio as pin
 import yaml
 from studies.harness import Row, Study, StudyConfig
 from studies.measure import planned, ratio, timed
-from studies.outside import findings, path_is_clear
+from studies.outside import findings, path_is_clear, polyline_is_clear
 from studies.peers import RESOLUTION, ompl_path, roboplan_row, seed_ompl, toppra_motion, world_of
 
 from hplan.base.arrays import FloatArray
@@ -192,11 +192,7 @@ def scene_of(folder: Path, problem: Problem) -> Scene:
     start = dict(zip(state["name"], state["position"], strict=True))
     goal = {each["joint_name"]: each["position"] for each in request["goal_constraints"][0]["joint_constraints"]}
     begin, end = (np.array([values[joint] for joint in robot.joint_names]) for values in (start, goal))
-    obstacles = [
-        obstacle
-        for number, item in enumerate(scene["world"]["collision_objects"])
-        for obstacle in _obstacles(item, f"{item['id']} {number}", _to_base(robot))
-    ]
+    obstacles = obstacles_in(scene, _to_base(robot))
     return Scene.model_validate(
         {
             "format": "hplan-scene/1",
@@ -206,6 +202,12 @@ def scene_of(folder: Path, problem: Problem) -> Scene:
             "obstacles": tuple(obstacles),
         }
     )
+
+
+def obstacles_in(scene: dict[str, Any], place: pin.SE3) -> list[Obstacle]:
+    """The obstacles of a problem's scene in another frame, by the pose of the problems' frame in it."""
+    items = enumerate(scene["world"]["collision_objects"])
+    return [obstacle for number, item in items for obstacle in _obstacles(item, f"{item['id']} {number}", place)]
 
 
 def _pose(robot: Robot, q: FloatArray) -> dict[str, Any]:
@@ -309,31 +311,49 @@ def row_of(config: StudyConfig, problem: Problem) -> Row:
         return row
     if config.peer == "roboplan":
         return row | roboplan_row(config, robot, scene, row.get("duration_s"))
-    seed_ompl(config.seed + 1)
-    world, goal = world_of(robot, scene), scene.goal.configuration
-    path, row["peer_ms"] = timed(lambda: ompl_path(world, scene, goal, seconds=FIND_S, resolution=RESOLUTION))
+    search = _vamp_search(folder, problem, scene) if config.peer == "vamp" else _ompl_search(config, robot, scene)
+    path, row["peer_ms"] = timed(search)
     spline, timing_ms = timed(lambda: None if path is None else toppra_motion(robot, path))
     row["peer_solved"], row["peer_motion_ms"] = spline is not None, row["peer_ms"] + timing_ms
+    if path is not None:
+        row["path_touches"] = not polyline_is_clear(robot, joints, path)
     if spline is not None:
         row["spline_touches"] = findings(robot, scene, spline)["contacts"] > 0
         row["to_spline"] = ratio(row.get("duration_s"), spline.duration)
     return row
 
 
+def _ompl_search(config: StudyConfig, robot: Robot, scene: Scene) -> Callable[[], FloatArray | None]:
+    """The search of RRTConnect for a path."""
+    seed_ompl(config.seed + 1)
+    world, goal = world_of(robot, scene), scene.goal.configuration
+    return lambda: ompl_path(world, scene, goal, seconds=FIND_S, resolution=RESOLUTION)
+
+
+def _vamp_search(folder: Path, problem: Problem, scene: Scene) -> Callable[[], FloatArray | None]:
+    """The search of vamp-planner for a path."""
+    from studies.vamp_peer import VampArm
+
+    given, _ = problems_of(folder, problem.robot)[problem.set_name, problem.number]
+    obstacles, ends = obstacles_in(given, pin.SE3.Identity()), (scene.start.configuration, scene.goal.configuration)
+    arm = VampArm(problem.robot, obstacles, boxes=problem.set_name == "box")
+    return lambda: arm.path(*ends)
+
+
 MOTIONBENCHMAKER = Study(
     "motionbenchmaker",
-    "MotionBenchMaker's problems for Panda, UR5, Fetch (--files, VAMP's resources); --peer: roboplan, OMPL and toppra",
+    "MotionBenchMaker's problems for Panda, UR5, Fetch (--files, VAMP's resources); --peer: roboplan, OMPL, vamp",
     row_of,
     (
         *("free", "certified", "missed", "ms", "units", "duration_s", "contacts", "limits"),
-        *("peer_solved", "peer_ms", "peer_motion_ms", "to_spline", "spline_touches"),
+        *("peer_solved", "peer_ms", "peer_motion_ms", "to_spline", "path_touches", "spline_touches"),
         *("to_peer", "peer_touches", "peer_over_limits"),
     ),
     problems=problems,
     by="group",
     count=(None, 1),
     needs=("files",),
-    peers=("RRTConnect", "roboplan"),
+    peers=("RRTConnect", "roboplan", "vamp"),
     warm=8,
     choices=(tuple(MODELS), GOALS, LOADS, SETS),
     percentiles=(50, 98, 100),

@@ -26,8 +26,8 @@ from hplan.scene.obstacle_kind import FromData
 from hplan.trajectory.trajectory import Trajectory
 from hplan.workcell.cell import Cell
 
-#: Time between the samples for limits [s].
-EVERY_S = 1e-3
+#: Time between the samples for limits [s]; distance between looks at a polyline, of the joint that moves most [rad, m].
+EVERY_S, EVERY = 1e-3, 5e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +51,13 @@ def path_is_clear(robot: Robot, scene: Scene, path: FloatArray) -> bool:
     """True if closely spaced (n, dof) configurations are all collision-free."""
     numbers = np.arange(len(path), dtype=np.float64)
     return not any(_contacts_at(robot, scene, numbers, TimedMotion(numbers[-1], lambda _: path)))
+
+
+def polyline_is_clear(robot: Robot, scene: Scene, path: FloatArray) -> bool:
+    """True if the straight motions between (m, dof) waypoints are collision-free, looked at every `EVERY`."""
+    ends = itertools.pairwise(path)
+    parts = [np.linspace(a, b, max(2, int(np.ceil(np.abs(b - a).max() / EVERY)) + 1)) for a, b in ends]
+    return path_is_clear(robot, scene, np.concatenate(parts))
 
 
 def _contacts_at(robot: Robot, scene: Scene, clock: FloatArray, motion: Motion) -> tuple[int, int]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import io
 import json
 import math
+import sys
 import tarfile
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,7 +28,7 @@ from hplan.apps.execution.wind import Wind
 from hplan.errors import InputError
 from hplan.planning.failures import REASONS
 from hplan.scene.model import Goal, Scene, Start
-from hplan.scene.obstacles import Capsule
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
 from hplan.scene.wood import Wood
 
 script = load_script("benchmark")
@@ -344,3 +347,53 @@ def test_sway_of_a_limb_in_steady_wind_is_that_of_a_cantilever() -> None:
     assert sway["shoot"] == pytest.approx(load * 0.8**4 / (8.0 * rigidity), rel=0.05)
     seen = wood_trial._swaying(scene, sway)
     assert [3.0 * item.sigma for item in seen.obstacles] == pytest.approx([0.0, sway["shoot"]])
+
+
+class _Placed(SimpleNamespace):
+    """vamp-planner's functions that its peer calls; obstacles are tuples."""
+
+    def __init__(self) -> None:
+        kinds = {"Sphere": _of("sphere"), "Cuboid": _of("box"), "Cylinder": _of("can")}
+        super().__init__(placed=[], Environment=lambda: self, **kinds)
+        self.add_sphere = self.add_cuboid = self.add_capsule = self.placed.append
+
+    def configure_robot_and_planner_with_kwargs(self, name: str, planner: str) -> tuple[object, ...]:
+        assert (name, planner) == ("panda", "rrtc")
+        halfway = SimpleNamespace(numpy=lambda: np.array([[0.1], [0.5], [0.9]], dtype=np.float32))
+        arm = SimpleNamespace(halton=list, simplify=lambda *_: SimpleNamespace(path=halfway))
+        return arm, lambda start, goals, *_: SimpleNamespace(solved=bool(goals[0] > start), path=None), None, None
+
+
+def _of(kind: str) -> Callable[..., tuple[object, ...]]:
+    return lambda *values: (kind, *(np.round(value, 9).tolist() for value in values))
+
+
+def test_vamp_gets_boxes_balls_and_capsules(monkeypatch: pytest.MonkeyPatch) -> None:
+    placed = _Placed()
+    monkeypatch.setitem(sys.modules, "vamp", placed)
+    monkeypatch.delitem(sys.modules, "studies.vamp_peer", raising=False)
+    vamp_arm = importlib.import_module("studies.vamp_peer").VampArm
+    monkeypatch.delitem(sys.modules, "studies.vamp_peer")
+    turned = {"center": (1.0, 2.0, 3.0), "rpy_deg": (90.0, 0.0, 0.0)}
+    ball, box = Sphere(name="a", center=(1.0, 0.0, 0.0), radius=0.1), Box(name="b", size=(0.2, 0.4, 0.6), **turned)
+    can = Cylinder(name="c", radius=0.1, length=0.5, **turned)
+    arm = vamp_arm("panda", [ball, box, can])
+    vamp_arm("panda", [can], boxes=True)
+    place = [1.0, 2.0, 3.0], [round(math.pi / 2.0, 9), 0.0, 0.0]
+    assert placed.placed == [
+        ("sphere", [1.0, 0.0, 0.0], 0.1),
+        ("box", *place, [0.1, 0.2, 0.3]),
+        ("can", *place, 0.1, 0.5),
+        ("box", *place, [0.1, 0.1, 0.25]),
+    ]
+    assert arm.path(np.zeros(1), np.ones(1)).ravel().tolist() == [0.0, 0.5, 1.0]
+    assert arm.path(np.ones(1), np.zeros(1)) is None
+    with pytest.raises(InputError, match="vamp-planner is given"):
+        vamp_arm("panda", [Capsule(name="d", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, 1.0), radius=0.1)])
+
+
+def test_a_missing_vamp_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "vamp", None)
+    monkeypatch.delitem(sys.modules, "studies.vamp_peer", raising=False)
+    with pytest.raises(InputError, match="pip install vamp-planner"):
+        importlib.import_module("studies.vamp_peer")

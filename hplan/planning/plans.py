@@ -24,7 +24,7 @@ from hplan.errors import (
     TimingError,
 )
 from hplan.planning.approach import Approach, blend
-from hplan.planning.effort import Effort, efforts_of
+from hplan.planning.effort import FAR_FROM_BOUND, Effort, efforts_of
 from hplan.planning.failures import FailuresError, mark_approach
 from hplan.planning.grasps import COUNT, SPARE, Grasp, Target, grasps, select_promising
 from hplan.planning.motion import Motion, Plan, Solver, require_whole
@@ -41,21 +41,22 @@ def with_all_efforts(solve: Solver) -> Solver:
     Each plan is faster than the one before.
 
     The last plan results from the requested effort, or is as fast; with a deadline, `quick` ends with the first search
-    that finds one. The world is prepared before the solver returns.
+    that finds one if the arm is moving or the plan is close to its lower bound. The world is prepared before the solver
+    returns.
     """
 
     def plans(problem: Problem) -> Iterator[Plan]:
-        best_s, is_found = math.inf, False
+        best_s, is_found, is_close = math.inf, False, False
         efforts = efforts_of(presets_of(problem.robot), problem.options)
         for effort in efforts:
-            if is_found and problem.options.effort == "quick":
+            if is_found and problem.options.effort == "quick" and (is_close or problem.scene.start.is_moving):
                 return
             if problem.options.objective == "length":
                 best_s = math.inf  # a larger effort yields shorter paths, not faster motions
             try:
                 for plan in solve(replace(problem, effort=effort)):
                     if plan.duration < best_s:
-                        best_s, is_found = plan.duration, True
+                        best_s, is_found, is_close = plan.duration, True, _is_close(plan.transit)
                         yield plan
             except HplanError as error:
                 if not is_found and (effort is efforts[-1] or not _may_be_found(problem, effort, error)):
@@ -69,6 +70,11 @@ def with_all_efforts(solve: Solver) -> Solver:
         return plans(problem.in_world(problem.world))
 
     return solver
+
+
+def _is_close(transit: Motion) -> bool:
+    """True if a transit takes little longer than its lower bound (`FAR_FROM_BOUND`)."""
+    return transit.trajectory.duration <= FAR_FROM_BOUND * transit.problem.least_duration
 
 
 def with_reuse(before: Motion | None, solve: Solver) -> Solver:

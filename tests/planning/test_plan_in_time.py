@@ -24,7 +24,7 @@ from hplan.planning.problem import Problem
 from hplan.planning.world import World, without_inside
 from hplan.robot.model import Robot
 from hplan.scene.fruit import Fruit
-from hplan.scene.model import Goal, Scene
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
 from hplan.scene.tracks import Track
 
@@ -128,9 +128,20 @@ def test_anytime_result_converges_to_result_without_deadline(robot: Robot, name:
     assert 0.0 < told["first_s"] <= told["elapsed_s"] < ENOUGH_S
 
 
-@pytest.mark.parametrize(("effort", "searches"), [("quick", 1), ("default", 2)])
-def test_quick_search_ends_with_its_first_plans(robot: Robot, effort: Any, searches: int) -> None:
-    """With a deadline others go on with the requested effort."""
+@pytest.mark.parametrize(
+    ("effort", "changes", "searches"),
+    [
+        ("quick", {}, 2),
+        ("quick", {"obstacles": ()}, 1),
+        ("quick", {"start": Start(joints_deg=(0.0, 0.0, 0.0, 0.0), velocity_rad_s=(0.1, 0.0, 0.0, 0.0))}, 1),
+        ("default", {"obstacles": ()}, 2),
+    ],
+    ids=["far from its bound", "close to its bound", "moving", "another effort"],
+)
+def test_quick_search_ends_with_its_first_plans(
+    robot: Robot, effort: Any, changes: dict[str, Any], searches: int
+) -> None:
+    """With a deadline, if they suffice: if they are close to their bound, or the arm is moving."""
     seen = []
 
     def solve(problem: Problem) -> Iterator[Plan]:
@@ -138,7 +149,7 @@ def test_quick_search_ends_with_its_first_plans(robot: Robot, effort: Any, searc
         return plans_from_rest(problem)
 
     options = hplan.PlanOptions(effort=effort, deadline_s=ENOUGH_S)
-    problem = Problem.from_scene(robot, hplan.load_scene("table-1"), options)
+    problem = Problem.from_scene(robot, hplan.load_scene("table-1").with_values(**changes), options)
     with time_limit(ENOUGH_S):
         assert list(with_all_efforts(solve)(problem))
     assert seen == [True, False][:searches]

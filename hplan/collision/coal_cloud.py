@@ -256,7 +256,8 @@ def next_block(
         The leaf's index; -1 if no leaf is left.
     """
     (rotation, translation), (core, corners), (nodes, points), (number, seen) = place, body, cloud, after
-    plane, work = _plane_behind(rotation, translation, corners, towards), np.empty(WORK)
+    away, work = (-towards[0], -towards[1], -towards[2]), np.empty(WORK)
+    plane = _plane_behind(rotation, translation, corners, away)
     while number < len(nodes):
         node = nodes[number]
         if (
@@ -269,7 +270,8 @@ def next_block(
             lot = int(node[0]), int(node[1])
             if not _is_beyond(place, core, points, lot, plane, limit):
                 _separation(place, corners, points, lot, limit + SPECK_RADIUS_M, work)
-                other = _plane_behind(rotation, translation, corners, -work[SEPARATING : SEPARATING + 3])
+                apart = work[SEPARATING], work[SEPARATING + 1], work[SEPARATING + 2]
+                other = _plane_behind(rotation, translation, corners, apart)
                 if not _is_beyond(place, core, points, lot, other, limit):
                     return number
         number += 1
@@ -334,9 +336,9 @@ def _separation(
 
 
 @kernel
-def _plane_behind(rotation: FloatArray, translation: FloatArray, corners: FloatArray, towards: FloatArray) -> Plane:
-    """Plane that a placed hull is ahead of, and touches; its normal is opposite to a direction."""
-    x, y, z = -towards[0], -towards[1], -towards[2]
+def _plane_behind(rotation: FloatArray, translation: FloatArray, corners: FloatArray, normal: Vector) -> Plane:
+    """Plane that a placed hull is ahead of, and touches, by a normal of any length; `NO_PLANE` for zeros."""
+    x, y, z = normal
     length, height = math.sqrt(x * x + y * y + z * z), math.inf
     if not length > 0.0:
         return NO_PLANE

@@ -96,8 +96,11 @@ class ClearanceField(Record):
             kept: (solids,) mask of the obstacles to keep.
             arm: False drops the arm's self-collision pairs.
         """
-        found = self._of_rows(np.append(kept, [True, True])[self.owner])
-        return found if arm else replace(found, arm=self.arm.with_pairs(np.zeros(len(self.arm.pairs), dtype=np.bool_)))
+        remains = np.append(kept, [True, True])[self.owner]
+        solids, place = self.solids[remains], np.concatenate([[0], np.cumsum(remains)])  # their new indices
+        solids["next"] = place[solids["next"]]
+        own = self.arm if arm else self.arm.with_pairs(np.zeros(len(self.arm.pairs), dtype=np.bool_))
+        return replace(self, arm=own, solids=frozen(solids), owner=frozen(self.owner[remains]))
 
     def ignoring_last_link(self, touched: BoolArray) -> ClearanceField:
         """Return the field whose last joint's bodies may touch some obstacles.
@@ -145,14 +148,6 @@ class ClearanceField(Record):
         pairs = self.arm.pairs.copy()
         pairs["ball_distance"][idle[first:]] = -np.inf
         return replace(self, arm=replace(self.arm, pairs=frozen(pairs)))
-
-    def _of_rows(self, kept: BoolArray) -> ClearanceField:
-        """Return the field of some rows; dropping a node drops its subtree."""
-        rows = np.flatnonzero(kept)
-        place = np.concatenate([[0], np.cumsum(kept)])  # New indices of the rows that remain.
-        solids = self.solids[rows]
-        solids["next"] = place[solids["next"]]
-        return replace(self, solids=frozen(solids), owner=frozen(self.owner[rows]))
 
     def link_clearances(self, q: ArrayLike, enough: float = FAR) -> FloatArray:
         """Clearance of each moving body at one configuration [m].

@@ -46,20 +46,25 @@ def with_all_efforts(solve: Solver) -> Solver:
     """
 
     def plans(problem: Problem) -> Iterator[Plan]:
-        best_s, is_found, is_close = math.inf, False, False
+        best_s: float = math.inf
+        best: Plan | None = None
         efforts = efforts_of(presets_of(problem.robot), problem.options)
         for effort in efforts:
-            if is_found and problem.options.effort == "quick" and (is_close or problem.scene.start.is_moving):
+            if (
+                best is not None
+                and problem.options.effort == "quick"
+                and (problem.scene.start.is_moving or _is_close(best.transit))
+            ):
                 return
             if problem.options.objective == "length":
                 best_s = math.inf  # a larger effort yields shorter paths, not faster motions
             try:
                 for plan in solve(replace(problem, effort=effort)):
                     if plan.duration < best_s:
-                        best_s, is_found, is_close = plan.duration, True, _is_close(plan.transit)
+                        best_s, best = plan.duration, plan
                         yield plan
             except HplanError as error:
-                if not is_found and (effort is efforts[-1] or not _may_be_found(problem, effort, error)):
+                if best is None and (effort is efforts[-1] or not _may_be_found(problem, effort, error)):
                     raise
 
     def solver(problem: Problem) -> Iterator[Plan]:

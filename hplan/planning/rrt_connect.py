@@ -173,11 +173,11 @@ def tree_path(
 
 def _from_start(tree: Tree, problem: Problem, margin: float) -> Tree:
     """The tree with the problem's start as its root if the way from there to its root is clear, else a new one."""
-    size = int(tree.size[0])
-    if size == MOST_NODES or not problem.field.is_clear(np.stack([problem.start, tree.points[_root(tree)]]), margin):
+    size, root = int(tree.size[0]), _root(tree)
+    if size == MOST_NODES or not problem.field.is_clear(np.stack([problem.start, tree.points[root]]), margin):
         return _tree(problem.start[None])
     tree.points[size], tree.clear[size] = problem.start, np.nan
-    tree.parents[_root(tree)] = tree.parents[size] = size
+    tree.parents[root] = tree.parents[size] = size
     tree.size[0] += 1
     return tree
 

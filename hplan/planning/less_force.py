@@ -28,9 +28,10 @@ _SHARES = (0.1, 0.2, 0.35, 0.5, 0.7)
 def with_less_force(solve: Solver) -> Solver:
     """A solver with all efforts that pushes limbs only if that pays.
 
-    A motion that touches no limb is the last plan if it is close to the lower bound of its duration, or if no motion
-    that pushes is faster. With the option `gentle` the last plan is the motion within the smallest fraction of the
-    limits that takes at most `LONGER` times as long as the fastest one.
+    A motion that touches no limb is the last plan if it is close to the lower bound of its duration, if the first one
+    that pushes takes as long as the first one that does not, or if no motion that pushes is faster. With the option
+    `gentle` the last plan is the motion within the smallest fraction of the limits that takes at most `LONGER` times as
+    long as the fastest one.
 
     Args:
         solve: A solver with the effort of the problem; its last plan is the fastest.
@@ -39,9 +40,11 @@ def with_less_force(solve: Solver) -> Solver:
 
     def plans(problem: Problem, around: Iterator[Plan]) -> Iterator[Plan]:
         free: Plan | None = None
+        first_s: float | None = None
         failure: HplanError | None = None
         try:
             for free in around:
+                first_s = free.duration if first_s is None else first_s
                 yield free
         except HplanError as error:
             failure = error.with_traceback(None)
@@ -50,7 +53,9 @@ def with_less_force(solve: Solver) -> Solver:
             return
         best: Plan | None = None
         try:
-            for found in whole(problem):
+            for found in (whole if free is None else brief)(problem):
+                if best is None and first_s is not None and found.duration >= first_s and not gentle:
+                    return
                 if free is None or (LONGER if gentle else 1.0) * found.duration < free.duration:
                     best = found
                     yield best

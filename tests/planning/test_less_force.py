@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,8 @@ from hplan.base.arrays import FloatArray
 from hplan.certificate.certificate import Certificate, all_of
 from hplan.errors import CertificationError, HplanError
 from hplan.planning import motion
-from hplan.planning.less_force import LONGER
+from hplan.planning.less_force import LONGER, with_less_force
+from hplan.planning.motion import best_of
 from hplan.planning.problem import Problem
 from hplan.planning.result import PlanResult
 from hplan.scene import Goal, Scene, Wood, load_scene, with_limbs
@@ -63,6 +66,23 @@ def test_limbs_are_pushed_where_no_other_motion_is_as_fast() -> None:
             stiff_s = motion_to(fruit, bends=False).trajectory.duration
         assert bending.trajectory.duration < stiff_s
         assert 0.0 < largest_force(bending) <= 10.0
+
+
+@pytest.mark.parametrize(("first_s", "expected_s", "searched"), [(3.0, 2.0, [3.0]), (2.9, 1.0, [2.9, 1.0])])
+def test_motions_that_push_are_searched_no_further_if_the_first_one_is_not_faster(
+    first_s: float, expected_s: float, searched: list[float]
+) -> None:
+    problem, pushing = Problem.from_scene(robot(), scene_of("orchard-row", bends=True), PlanOptions()), list[float]()
+
+    def solve(asked: Problem) -> Iterator[Any]:
+        is_rigid = asked.world is not problem.world
+        for duration_s in (3.0, 2.0) if is_rigid else (first_s, 1.0):
+            if not is_rigid:
+                pushing.append(duration_s)
+            yield SimpleNamespace(duration=duration_s, grasp=SimpleNamespace(least_duration=0.5))
+
+    assert best_of(with_less_force(solve)(problem)).duration == expected_s
+    assert pushing == searched
 
 
 def test_gentle_motions_take_little_longer_and_push_less() -> None:

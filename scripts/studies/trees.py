@@ -37,6 +37,7 @@ from hplan.scene.fruit import Fruit
 from hplan.scene.model import Goal, Scene, Start, with_limbs
 from hplan.scene.orchard import SHIPPED, TUCKED_DEG, MeasuredOptions, fruit_at_tips, import_capsules
 from hplan.scene.orchard import measured_orchard as measured_orchard_scene
+from hplan.scene.wood import Wood
 from hplan.tour.row import RowOptions, plan_row
 from hplan.tour.tour import plan_tour
 
@@ -237,8 +238,9 @@ ROW_DEPTH, THIN = 0.02, 0.008
 #: Wood of the rows: bounded by depth, by force and stress, and thin wood left out, which no real arm can do.
 WOODS = ("depths", "forces", "no thin wood")
 
-#: Grasps of the rows, each with the maximum distance of the tool from a fruit's centre, at most its radius [m].
-OFFSETS = {"at centres": 0.0, "off centres": 0.02}
+#: Grasps of the rows, each with the maximum distance of the tool from a fruit's centre [m], at most its radius. It is
+#: the gripper's capture range too, if that is more than by default: the last one is the gripper of `wood_trial`.
+OFFSETS = {"at centres": 0.0, "20 mm off": 0.02, "30 mm off": 0.03}
 
 
 @dataclass(frozen=True)
@@ -251,7 +253,8 @@ class TreeRow:
 
 
 def _tree_rows(config: StudyConfig) -> Iterable[TreeRow]:
-    files = sorted(config.trees.glob("*.csv") if config.trees is not None else ())[: config.count]
+    files = sorted(config.trees.glob("*.csv") if config.trees is not None else ())
+    files = files[config.first :: config.step][: config.count]
     kinds = config.chosen(WOODS), config.chosen(OFFSETS)
     return [_tree_row(file, wood, grasps) for file, wood, grasps in itertools.product(files, *kinds)]
 
@@ -263,7 +266,7 @@ def _tree_row(file: Path, wood: str, grasps: str) -> TreeRow:
     )
     scene = measured_orchard_scene([file], given)
     if wood == "forces":
-        scene = with_limbs(scene)
+        scene = with_limbs(scene, Wood(capture_range=max(Wood().capture_range, OFFSETS[grasps])))
     elif wood == "no thin wood":
         scene = scene.copy_unchecked({"obstacles": tuple(one for one in scene.obstacles if not one.yields)})
     return TreeRow(file.stem, f"{wood}, {grasps}", scene)

@@ -23,7 +23,8 @@ moves_all=1` lets the limbs move all the time.
 With `--values sway=3` certificates also cover the equilibrium of limbs and fruit in such a gust; limbs in resonance
 move farther.
 With `--values minutes=10` the base stops at random places around trees of the same kind until the motions and grips of
-a planner have taken that long; `--values stops=3` ends after the first three places, the same for all planners.
+a planner have taken that long; `--values stops=3` ends after the first three places, the same for all planners, and
+`stops=200,300` tries the hundred from number 200 on.
 The recipe of MoveIt is RRTConnect, simplified and timed by toppra, with a padding of `PADDING_M`: once with all wood
 rigid, once without the wood that is thinner than the clamp radius. It picks the nearest fruit next and stops at
 stand-offs.
@@ -247,9 +248,9 @@ def _try(config: StudyConfig, trial: Trial) -> Row:
     """Plan and execute; forces and damage beside the fruit picked."""
     if not config.values.keys() & {"minutes", "stops"}:
         return _at_stop(config, trial, None)
-    allowed_s, most = 60.0 * config.values.get("minutes", (math.inf,))[0], config.values.get("stops", (MOST_STOPS,))[0]
+    allowed_s, stops = 60.0 * config.values.get("minutes", (math.inf,))[0], config.values.get("stops", (MOST_STOPS,))
     rows, spent_s = list[Row](), 0.0
-    for stop in range(int(most)):
+    for stop in range(*map(int, stops)):
         rows.append(_at_stop(config, trial, stop))
         spent_s += rows[-1].get("worked_s", 0.0)
         if spent_s >= allowed_s:

@@ -147,6 +147,9 @@ def test_rows_of_stops(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for row in found:
         assert row["fruits"] == 2 == row["picked"] + sum(row[key] for key in REASONS)
     assert found[-1]["picked"] > 0
+    widest = among_trees._tree_row(tmp_path / "t1.csv", "forces", "30 mm off").scene
+    assert widest.wood is not None
+    assert (widest.wood.capture_range, widest.fruits[0].grasp_offset) == (0.03, 0.03)
 
 
 def test_any_arm(tmp_path: Path, six: str) -> None:
@@ -333,6 +336,8 @@ def test_a_trial_of_minutes_sums_up_its_stops(monkeypatch: pytest.MonkeyPatch) -
     assert (found["stops"], found["picked"], found["broken"], found["limb_force_n"]) == (4, 6, 3, 3.0)
     assert found["fruit_per_hour"] == pytest.approx(3600.0 * 6 / 75.0)
     assert wood_trial._try(StudyConfig(values={"stops": (2.0,)}), trial)["stops"] == 2
+    later = wood_trial._try(StudyConfig(values={"stops": (2.0, 5.0)}), trial)
+    assert (later["stops"], later["limb_force_n"]) == (3, 4.0)
 
 
 def test_sway_of_a_limb_in_steady_wind_is_that_of_a_cantilever() -> None:

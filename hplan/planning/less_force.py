@@ -7,6 +7,7 @@ motion takes a detour.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -40,11 +41,11 @@ def with_less_force(solve: Solver) -> Solver:
 
     def plans(problem: Problem, around: Iterator[Plan]) -> Iterator[Plan]:
         free: Plan | None = None
-        first_s: float | None = None
+        first_s = math.inf
         failure: HplanError | None = None
         try:
             for free in around:
-                first_s = free.duration if first_s is None else first_s
+                first_s = free.duration if math.isinf(first_s) else first_s
                 yield free
         except HplanError as error:
             failure = error.with_traceback(None)
@@ -54,7 +55,7 @@ def with_less_force(solve: Solver) -> Solver:
         best: Plan | None = None
         try:
             for found in (whole if free is None else brief)(problem):
-                if best is None and first_s is not None and found.duration >= first_s and not gentle:
+                if best is None and found.duration >= first_s and not gentle:
                     return
                 if free is None or (LONGER if gentle else 1.0) * found.duration < free.duration:
                     best = found

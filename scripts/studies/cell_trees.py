@@ -41,9 +41,8 @@ EQUAL = 0.8
 
 
 def _problems(config: StudyConfig) -> list[tuple[Path, str]]:
-    files = sorted((config.trees or Path()).glob("*.csv"))[config.first :][: config.count]
     chosen = [list(STANDS)[int(number)] for number in config.values.get("stands", (0, 1))]
-    return [(file, stands) for stands in chosen for file in files]
+    return [(file, stands) for stands in chosen for file in config.tree_files]
 
 
 def cell_of(robot: Robot, tree: Scene, stands: str) -> Cell:

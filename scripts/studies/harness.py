@@ -74,6 +74,12 @@ class StudyConfig:
         """Numbers of the problems, for studies that draw each by its number."""
         return range(self.first, self.first + self.step * (self.count or 0), self.step)
 
+    @property
+    def tree_files(self) -> list[Path]:
+        """Files of the chosen trees, by name; none without a folder."""
+        files = sorted(self.trees.glob("*.csv") if self.trees is not None else ())
+        return files[self.first :: self.step][: self.count]
+
     def chosen(self, names: Iterable[str]) -> tuple[str, ...]:
         """The chosen ones of some alternative names; all of them if none is chosen."""
         every = tuple(names)

@@ -205,8 +205,7 @@ def _tours(config: StudyConfig) -> Sequence[Orchard]:
     robot = config.arm()
     if config.trees is None:
         return shipped_orchards(robot)[: config.count]
-    files = sorted(config.trees.glob("*.csv"))[: config.count]
-    return [measured_orchard(robot, file, DISTANCES[0]) for file in files]
+    return [measured_orchard(robot, file, DISTANCES[0]) for file in config.tree_files]
 
 
 def _tour(config: StudyConfig, orchard: Orchard) -> Row:
@@ -253,10 +252,8 @@ class TreeRow:
 
 
 def _tree_rows(config: StudyConfig) -> Iterable[TreeRow]:
-    files = sorted(config.trees.glob("*.csv") if config.trees is not None else ())
-    files = files[config.first :: config.step][: config.count]
     kinds = config.chosen(WOODS), config.chosen(OFFSETS)
-    return [_tree_row(file, wood, grasps) for file, wood, grasps in itertools.product(files, *kinds)]
+    return [_tree_row(file, wood, grasps) for file, wood, grasps in itertools.product(config.tree_files, *kinds)]
 
 
 def _tree_row(file: Path, wood: str, grasps: str) -> TreeRow:

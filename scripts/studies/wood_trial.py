@@ -138,9 +138,9 @@ class _Work:
 
 
 def _problems(config: StudyConfig) -> Iterable[Trial]:
-    files = sorted((config.trees or Path()).glob("*.csv"))[config.first :: config.step][: config.count]
     planners = [PLANNERS[int(number)] for number in config.values.get("planners", range(len(PLANNERS)))]
-    return [Trial(f"{file.stem}: {name}", file, row, name) for row, file in enumerate(files) for name in planners]
+    files = enumerate(config.tree_files)
+    return [Trial(f"{file.stem}: {name}", file, row, name) for row, file in files for name in planners]
 
 
 def true_scene(config: StudyConfig, file: Path, stop: np.random.Generator | None = None) -> Scene:

@@ -70,9 +70,15 @@ def _kept(known: _Kept[_T], items: tuple[Any, ...], key: Hashable, make: Callabl
 
 
 def limbs_of(obstacles: Sequence[Obstacle], wood: Wood) -> Limbs:
-    """Limbs among the obstacles of a scene; obstacles that move or sway are none."""
-    radius = wood.clamp_radius
-    pieces = tuple(piece for piece in obstacles if _is_still_capsule(piece))
+    """Limbs among the obstacles of a scene.
+
+    Obstacles that move or sway are none, nor is what grows from them: a push would bend them as well.
+    """
+    radius, moving = wood.clamp_radius, {piece.name for piece in obstacles if not piece.is_static}
+    parents = {piece.name: piece.parent for piece in obstacles if isinstance(piece, Capsule)} if moving else {}
+    while more := {name for name, parent in parents.items() if parent in moving} - moving:
+        moving |= more
+    pieces = tuple(piece for piece in obstacles if _is_still_capsule(piece) and piece.name not in moving)
     return _kept(_KNOWN_LIMBS, pieces, radius, lambda: Limbs.of(pieces, radius))
 
 

@@ -17,6 +17,7 @@ from hplan.scene import (
     LimbLimits,
     Scene,
     Start,
+    Sway,
     Wood,
     dump_scene,
     load_scene,
@@ -310,6 +311,20 @@ def test_limits_for_no_limb_are_refused() -> None:
     wood = Wood(limits=(LimbLimits(names=("twig", "twigs"), contact_force=2.0),))
     with pytest.raises(SceneError, match="'twigs' is the name of no limb or fruit"):
         with_limbs(scene_of((TRUNK, TWIG)), wood)
+
+
+def test_nothing_that_grows_from_a_swaying_limb_is_pushed() -> None:
+    """The push would bend the swaying limb, too, whose stress no certificate covers."""
+    spur = Capsule(name="spur", start=(0.3, 0.0, 1.0), end=(0.3, 0.2, 1.0), radius=0.003, parent="twig")
+    leaf = Capsule(name="leaf", start=(0.3, 0.1, 1.0), end=(0.3, 0.1, 1.1), radius=0.002, parent="spur")
+    other = TWIG.copy_unchecked({"name": "other", "start": (0.0, 0.0, 1.5), "end": (-0.4, 0.0, 1.5)})
+    apple = Fruit(name="apple", center=(0.3, 0.15, 0.95), radius=0.03, hangs_from=("spur",))
+    still = contact_solids((TRUNK, TWIG, spur, leaf, other), (apple,), Wood())
+    assert {name for name, solids in still.items() if len(solids) > 1} >= {"twig", "spur", "other", "apple"}
+    swaying = TWIG.copy_unchecked({"sway": Sway(direction=(0.0, 1.0, 0.0), amplitude_m=0.02)})
+    found = contact_solids((TRUNK, swaying, spur, leaf, other), (apple,), Wood())
+    assert found.keys() == {"other"}
+    assert [solid.yields for solid in found["other"]] == [solid.yields for solid in still["other"]]
 
 
 def test_a_limb_that_is_stiffest_off_its_axis_is_not_rigid() -> None:

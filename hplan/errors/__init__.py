@@ -22,6 +22,7 @@ line (`exit_status`); a class without a number inherits the one of its parent::
     +-- BlockedError                           3  every goal configuration is in collision
     +-- NoPathError                            3  proved: no path exists
     +-- TourError                              3  no fruit of the tour can be picked
+    +-- DetourError                            3  a fruit lengthens its tour by more than allowed
     +-- UnreachableError                       3  no inverse kinematics solution
     +-- TimingError                            4  the path cannot be timed under the limits
     +-- BoundError                             5  a duration is below its own lower bound
@@ -83,6 +84,7 @@ from hplan.errors.motion import (
 from hplan.errors.no_motion import (
     ApproachError,
     BlockedError,
+    DetourError,
     NoPathError,
     NotFoundError,
     NotInTimeError,
@@ -107,6 +109,7 @@ __all__ = [
     "BoundError",
     "CertificationError",
     "ConfigurationInCollisionError",
+    "DetourError",
     "FarObstacleWarning",
     "FrameError",
     "HplanError",

@@ -182,6 +182,29 @@ class TourError(HplanError):
         self.reasons = tuple(reasons)
 
 
+class DetourError(HplanError):
+    """A fruit can be picked, but lengthens its tour by more than allowed.
+
+    Attributes:
+        adds_s: Time by which it would lengthen the tour; of fruits that are left out together, the mean [s].
+        allowed_s: The allowed time [s].
+
+    Examples:
+        >>> from hplan.errors import DetourError
+        >>> error = DetourError(7.25, 3.0)
+        >>> error.adds_s, error.allowed_s, error.message
+        (7.25, 3.0, 'it would lengthen the tour by 7.25 s, of the allowed 3 s')
+    """
+
+    exit_status = 3
+    adds_s: float
+    allowed_s: float
+
+    def __init__(self, adds_s: float, allowed_s: float) -> None:
+        message = f"it would lengthen the tour by {adds_s:.3g} s, of the allowed {allowed_s:.3g} s"
+        super().__init__(message, adds_s=adds_s, allowed_s=allowed_s)
+
+
 class NotFoundError(HplanError):
     """The search is inconclusive: no motion found, and none proved impossible.
 

@@ -46,7 +46,7 @@ from hplan.scene.fruit import Fruit
 from hplan.scene.model import Goal
 from hplan.scene.obstacles import Sphere
 from hplan.tour.moves import Moves, Stop
-from hplan.tour.ordering import Costs, Visits, order_grasps
+from hplan.tour.ordering import SEGMENT, Costs, Visits, best, order_grasps
 
 #: Name of the carried fruit among the held objects.
 CARRIED = "carried fruit"
@@ -354,6 +354,43 @@ class Motions:
             before, after = (None if place is None else self._places[place] for place in (leaving, coming))
             return blend(self._moves.problem(*step.stops, step.loaded), motion, before, after)
         return None
+
+    def savings(self, visits: Visits, *, keep_order: bool) -> dict[tuple[str, ...], float]:
+        """Times by which a tour would be shorter without some of its fruits, up to `SEGMENT` in a row or all [s].
+
+        They are estimates: the other fruits keep their grasps, and motions that are not planned yet count with lower
+        bounds.
+
+        Args:
+            visits: The tour.
+            keep_order: True if the other fruits keep their order.
+        """
+        costs, order = self._costs(np.sort(visits.places)), self.fruits_at(visits.places)
+        count, found = len(order), dict[tuple[str, ...], float]()
+        for size in range(1, min(SEGMENT, count - 1) + 1):
+            for first in range(count - size + 1):
+                rest = np.delete(order, np.arange(first, first + size))
+                shorter = (
+                    order_grasps(costs, rest)
+                    if keep_order
+                    else best(costs.select(rest.tolist()), np.arange(len(rest)), False)
+                )
+                found[self._names_at(order[first : first + size])] = visits.cost - shorter.cost
+        return found | {self._names_at(order): visits.cost - self.without_fruits().cost}
+
+    def _names_at(self, order: IntArray) -> tuple[str, ...]:
+        """Names of some fruits of the tour."""
+        return tuple(self.fruits[number] for number in order.tolist())
+
+    def without_fruits(self) -> Visits:
+        """The tour that picks nothing: its cost is that of the motion back, if it goes back."""
+        stops = self._here, self._home
+        cost = 0.0
+        if self._back and stops[0] != stops[1]:
+            while not self._moves.is_known(*stops, False):
+                self._moves.look(*stops, False)
+            cost = float(self._moves.seconds(np.array(stops), False)[0, 1])
+        return Visits(cost, np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_))
 
     def end(self, visits: Visits) -> Stop:
         """Stop at the end of a tour's last leg."""

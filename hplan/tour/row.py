@@ -90,7 +90,7 @@ class Unpicked:
     Attributes:
         reason: Why not, as in `FruitReach.reason`; from several stops, that of the nearest attempt, in the order
             `out_of_reach`, `blocked`, `no_approach`, `no_motion`. None for a fruit that was left out although it can be
-            picked.
+            picked: by `RowOptions.share` or `TourOptions.max_detour_s`.
         obstacle: The obstacle that prevents it at most of those stops; None if unknown.
     """
 
@@ -100,6 +100,8 @@ class Unpicked:
     @classmethod
     def of_attempts(cls, attempts: Sequence[Unpicked]) -> Unpicked:
         """Summarize attempts from several stops; without any, the fruit is out of reach."""
+        if any(one.reason is None for one in attempts):
+            return cls(None)
         rank = {reason: number for number, reason in enumerate(REASONS)}
         reasons = (one.reason for one in attempts if one.reason is not None)
         reason = max(reasons, key=rank.__getitem__, default=REASONS[0])
@@ -487,7 +489,8 @@ def _unreached(tour: TourResult | TourError) -> Sequence[Unreached]:
 def _why_never(attempts: Sequence[Unpicked], stops: int) -> HplanError:
     """Error of a fruit that is picked from none of some stops."""
     why = Unpicked.of_attempts(attempts)
-    words = REASON_WORDS[why.reason or REASONS[0]] + (f", most often by {why.obstacle!r}" if why.obstacle else "")
+    words = "too long a detour" if why.reason is None else REASON_WORDS[why.reason]
+    words += f", most often by {why.obstacle!r}" if why.obstacle else ""
     facts = {"reason": why.reason, "obstacle": why.obstacle}
     return HplanError(f"it cannot be picked from any of {stops} stops: {words}", **facts)
 

@@ -21,12 +21,20 @@ from pydantic import Field
 from hplan.base import ties
 from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray, Record
-from hplan.base.checked import Options
+from hplan.base.checked import Options, Positive
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.lazy_import import InNotebook
 from hplan.certificate.certificate import Certificate, all_of
 from hplan.certificate.digests import Digests
-from hplan.errors import CertificationError, HplanError, OptionError, SceneError, TourError, UnreachableError
+from hplan.errors import (
+    CertificationError,
+    DetourError,
+    HplanError,
+    OptionError,
+    SceneError,
+    TourError,
+    UnreachableError,
+)
 from hplan.planning.failures import NO_MOTION, Reason, obstacle_of, reason_of
 from hplan.planning.grasps import Grasp
 from hplan.planning.motion import Motion, certificate_of, in_sequence, require_certificate, seconds
@@ -84,9 +92,9 @@ class Unreached:
     error: HplanError
 
     @property
-    def reason(self) -> Reason:
-        """Why it is not picked, as in `FruitReach.reason`."""
-        return reason_of(self.error)
+    def reason(self) -> Reason | None:
+        """Why it is not picked, as in `FruitReach.reason`; None for a fruit that is left out (`DetourError`)."""
+        return None if isinstance(self.error, DetourError) else reason_of(self.error)
 
     @property
     def obstacle(self) -> str | None:
@@ -155,6 +163,9 @@ class TourOptions(Options):
         compare: True if the report gives the durations of all three orders.
         grasps: Number of grasps considered for each fruit at a time; with more than one, unused grasps are replaced by
             others as long as the tour becomes shorter.
+        max_detour_s: Fruits that lengthen the tour by more are left out [s]: one far from all others, or one that wood
+            is slowly pushed aside for. Of fruits in a row, and of all, the mean counts as well. Motions are compared
+            with stops at stand-offs. None to pick all.
     """
 
     drop_off: Goal | None = None
@@ -164,6 +175,7 @@ class TourOptions(Options):
     stops: bool = False
     compare: bool = False
     grasps: Annotated[int, Field(ge=1)] = 4
+    max_detour_s: Positive | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -303,7 +315,8 @@ class TourPlanner:
             is_found = math.isfinite(stage.visits.cost) and len(motions.fruits) > 0
             if not (is_found or is_firm):
                 break
-            left = [item.fruit for item in stage.unreached if not isinstance(item.error, UnreachableError)]
+            is_final = UnreachableError, DetourError
+            left = [item.fruit for item in stage.unreached if not isinstance(item.error, is_final)]
             if is_found:
                 stages.append(stage)
                 gone = set(motions.fruits)
@@ -336,6 +349,36 @@ class TourPlanner:
                 return self._result([_Stage(self._whole, visits, {}, [])], tour.unreached)
         return None
 
+    def _leave_out(self, motions: Motions, given: list[str]) -> list[Unreached]:
+        """Leave out the fruits that lengthen the tour by more than allowed, those with the longest detour first.
+
+        Args:
+            motions: The chosen fruits and their motions; those left out are no longer chosen.
+            given: Names of the chosen fruits in the given order; those left out are removed.
+        """
+        left, allowed = list[Unreached](), self.tour.max_detour_s
+        if not given or allowed is None:
+            return left
+        visits, worth = _visits(motions, self.tour.order, given), set[tuple[str, ...]]()
+        while given and math.isfinite(visits.cost):
+            saved = motions.savings(visits, keep_order=self.tour.order == "given")
+            detours = {names: seconds / len(names) for names, seconds in saved.items()}
+            too_long = [names for names, detour in detours.items() if detour > allowed and names not in worth]
+            if not too_long:
+                break
+            names = too_long[ties.argmax([detours[names] for names in too_long])]
+            rest = [name for name in given if name not in names]
+            motions.choose(rest)
+            shorter = _visits(motions, self.tour.order, rest) if rest else motions.without_fruits()
+            adds_s = (visits.cost - shorter.cost) / len(names)
+            if adds_s > allowed:
+                left += [Unreached(name, DetourError(adds_s, allowed)) for name in given if name in names]
+                given[:], visits, worth = rest, shorter, set()
+            else:  # it was an estimate
+                motions.choose(given)
+                worth.add(names)
+        return left
+
     def _stage(self, motions: Motions, fruits: Sequence[Fruit]) -> _Stage:
         """Plan the tour over the given fruits that are reachable."""
         unreached, given = list[Unreached](), list[str]()
@@ -349,6 +392,7 @@ class TourPlanner:
                 given.append(fruit.name)
         motions.choose(given)
         self.progress("order")
+        unreached += self._leave_out(motions, given)
         found: dict[str, Visits] = {}
         if motions.fruits:
             orders = sorted(_ORDERS, key=lambda order: order != self.tour.order)

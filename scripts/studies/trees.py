@@ -39,7 +39,7 @@ from hplan.scene.orchard import SHIPPED, TUCKED_DEG, MeasuredOptions, fruit_at_t
 from hplan.scene.orchard import measured_orchard as measured_orchard_scene
 from hplan.scene.wood import Wood
 from hplan.tour.row import RowOptions, plan_row
-from hplan.tour.tour import plan_tour
+from hplan.tour.tour import TourOptions, plan_tour
 
 #: Distances of a measured tree's trunk in front of the base [m].
 DISTANCES = (1.4, 1.0, 1.8)
@@ -272,7 +272,8 @@ def _tree_row(file: Path, wood: str, grasps: str) -> TreeRow:
 def _plan_row(config: StudyConfig, problem: TreeRow) -> Row:
     robot, scene, begin = config.arm("orchard_harvester"), problem.scene, time.process_time()
     given = RowOptions(distance=ROW_DISTANCE, step=ROW_STEP)
-    found = or_error(lambda: plan_row(robot, scene, PlanOptions(effort=config.effort), row=given))
+    tour = TourOptions(max_detour_s=next(iter(config.values.get("detour", ())), None))
+    found = or_error(lambda: plan_row(robot, scene, PlanOptions(effort=config.effort), row=given, tour=tour))
     row: Row = {"name": f"{problem.name}, {problem.kind}", "kind": problem.kind, "fruits": len(scene.fruits)}
     row |= {"cpu_s": time.process_time() - begin}
     if isinstance(found, TourError):

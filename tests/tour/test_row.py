@@ -183,6 +183,25 @@ def test_of_a_share_no_pass_takes_more_than_it_needs(arm: Robot, scene: Scene, r
     assert some.report["not_picked"]["left_out"] == len(some.reachable) - len(some.picked) > 0
 
 
+def test_a_stop_for_one_fruit_is_left_out(arm: Robot, tmp_path: Path) -> None:
+    (tmp_path / "tree.csv").write_text(TREE)
+    trees = [tmp_path / "tree.csv"] * 2
+    scene = measured_orchard(trees, MeasuredOptions(distance=1.2, spacing=5.0, wood_yields=0.02))
+    lonely = "tree 2 fruit 1"
+    kept = tuple(one for one in scene.fruits if one.name.startswith("tree 1") or one.name == lonely)
+    scene = scene.with_values(fruits=kept)
+    row = plan_row(arm, scene, QUICK, row=COARSE)
+    (alone,) = (stop.tour.duration for stop in row.stops if stop.tour.order == (lonely,))
+    (beside,) = (stop.tour.duration / 3 for stop in row.stops if len(stop.tour.order) == 3)
+    limit = touring.TourOptions(max_detour_s=0.5 * (alone + beside))
+    some = plan_row(arm, scene, QUICK, row=COARSE, tour=limit)
+    assert set(some.picked) == set(row.picked) - {lonely}
+    assert some.unpicked[lonely].reason is None
+    assert some.report["not_picked"]["left_out"] == 1
+    with pytest.raises(TourError, match="too long a detour"):
+        plan_row(arm, scene, QUICK, row=COARSE, tour=touring.TourOptions(max_detour_s=0.1))
+
+
 def test_stops_with_base_in_contact_are_excluded(arm: Robot, scene: Scene) -> None:
     post = Box(name="post", center=(0.0, 0.8, 0.2), size=(0.1, 0.1, 0.4))
     with_post = scene.with_obstacles([*scene.obstacles, post])

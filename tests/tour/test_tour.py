@@ -21,7 +21,7 @@ from hplan.certificate.certificate import Certificate
 from hplan.certificate.limit_use import LimitUse
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.held_objects import holding
-from hplan.errors import BlockedError, TourError, UnreachableError
+from hplan.errors import BlockedError, DetourError, TourError, UnreachableError
 from hplan.planar.family_reader import family_of
 from hplan.planning.motion import Motion
 from hplan.planning.options import PlanOptions
@@ -296,6 +296,36 @@ def test_fruit_behind_another_comes_once_that_is_picked(robot: Robot, options: T
     assert_sound(robot, scene, result)
     if options.back:
         np.testing.assert_allclose(result.trajectory.position[-1], scene.start.configuration, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("far", "allowed"), [("e", 3.0), ("ef", 2.4)])
+def test_fruits_that_lengthen_a_tour_too_much_are_left_out(robot: Robot, far: str, allowed: float) -> None:
+    """One fruit far from all others, and two that share the way: without one of them it would be hardly shorter."""
+    yaws = {"e": 168.0, "f": 176.0}
+    scene = orchard(robot, *(fruit(robot, name, (yaws[name], 30.0, 40.0, 20.0)) for name in far))
+
+    def cost_s(*fruits: str) -> float:
+        """Duration with stops at stand-offs."""
+        planner = TourPlanner(robot, scene, OPTIONS, TourOptions(back=True), fruits)
+        return planner._stage(planner._whole, [one for one in scene.fruits if one.name in fruits]).visits.cost
+
+    adds_s = (cost_s(*"abcd", *far) - cost_s(*"abcd")) / len(far)
+    assert adds_s > allowed > max(2.0, cost_s(*"abcd", *far) - cost_s(*"bcd", *far))
+    result = plan_tour(robot, scene, OPTIONS, tour=TourOptions(back=True, max_detour_s=allowed))
+    assert set(result.order) == set("abcd")
+    assert [(item.fruit, item.reason) for item in result.unreached] == [(name, None) for name in far]
+    for item in result.unreached:
+        assert isinstance(item.error, DetourError)
+        assert (item.error.adds_s, item.error.allowed_s) == (pytest.approx(adds_s, abs=0.02), allowed)
+    assert_sound(robot, scene, result)
+    assert set(plan_tour(robot, scene, OPTIONS, tour=TourOptions(back=True, max_detour_s=9.0)).order) == {*"abcd", *far}
+
+
+def test_a_tour_of_detours_only_is_an_error(robot: Robot, scene: Scene) -> None:
+    with pytest.raises(TourError, match=r"'a': it would lengthen the tour by .* s, of the allowed 0\.1 s") as caught:
+        plan_tour(robot, scene, OPTIONS, tour=TourOptions(max_detour_s=0.1))
+    assert all(isinstance(error, DetourError) for _, error in caught.value.reasons)
+    assert len(caught.value.reasons) == 4
 
 
 def test_no_fruit_at_all_is_an_error_with_all_reasons(robot: Robot) -> None:

@@ -77,6 +77,7 @@ _OF_ONE_ROBOT = (
         "order",
         "compare",
         "grasps",
+        "max_detour_s",
         "csv",
     ),
 )

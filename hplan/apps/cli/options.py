@@ -162,6 +162,8 @@ _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
     ("capture", "--capture", "capture range of the gripper in metres, across its approach and along it; grasps that "
         "catch the fruit with the highest probability come first",
         {"dest": "capture_m", "nargs": 2, "type": float, "metavar": ("M", "M")}),
+    ("detour", "--max-detour", "leave out fruits that lengthen a tour by more seconds (default: pick all)",
+        {"dest": "max_detour_s", "type": float, "metavar": "S"}),
     ("tracking", "--tracking-error", "tracking error of each joint in degrees (default: 0)",
         {"type": float, "default": 0.0, "metavar": "DEG"}),
     ("tracking", "--tracking-error-m", "tracking error of each prismatic joint in metres (default: 0); the certificate "

@@ -92,7 +92,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add("--detaching", type=float, default=1.0, metavar="S", help="time to detach a fruit in seconds (default: 1)")
     add("--carried", nargs="+", default=[], metavar="NAME", help="obstacles that the vehicle carries")
     add("--workers", type=int, default=1, metavar="N", help="number of processes that evaluate candidates (default: 1)")
-    add_shared(parser, "effort", "seed", "pace", "tracking", "quiet")
+    add_shared(parser, "detour", "effort", "seed", "pace", "tracking", "quiet")
     return parser
 
 
@@ -117,6 +117,7 @@ def _plan_row_and_write(
     from hplan.planning.report import write_report
     from hplan.scene.file import load_scene
     from hplan.tour.row import RowOptions, plan_row
+    from hplan.tour.tour import TourOptions
 
     scene = scene_with_wood(arguments, load_scene(arguments.scene))
     row = RowOptions(
@@ -126,10 +127,10 @@ def _plan_row_and_write(
         acceleration=arguments.drive_acceleration,
         **{option: getattr(arguments, option) for option in _OPTIONS},
     )
-    options = plan_options(arguments, "effort")
+    options, tour = plan_options(arguments, "effort"), TourOptions(max_detour_s=arguments.max_detour_s)
     robot = robot_of(arguments, scene)
     with folder.job(scene.name, robot.name):
-        result = plan_row(robot, scene, options, row=row, workers=arguments.workers, progress=progress)
+        result = plan_row(robot, scene, options, row=row, tour=tour, workers=arguments.workers, progress=progress)
         progress("writing files")
         digits = max(2, len(str(len(result.stops))))
         names = [f"stop-{number:0{digits}}" for number in range(1, len(result.stops) + 1)]

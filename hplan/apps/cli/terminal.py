@@ -263,11 +263,12 @@ def unpicked_table(unreached: Sequence[Unreached]) -> list[Table]:
     """
     from hplan.planning.failures import REASON_WORDS
 
-    lines, told = list[tuple[str, str, str]](), set[str]()
+    lines, told = list[tuple[str, str, str]](), set[str | None]()
     for item in unreached:
         detail = item.obstacle or ("" if item.reason in told else item.error.message)
         told |= set() if item.obstacle else {item.reason}
-        lines.append((escape(item.fruit), f"[yellow]{REASON_WORDS[item.reason]}[/]", escape(detail)))
+        words = "left out" if item.reason is None else REASON_WORDS[item.reason]
+        lines.append((escape(item.fruit), f"[yellow]{words}[/]", escape(detail)))
     headings = "not picked", "reason", "obstacle or detail"
     return [number_table(headings, lines, texts=headings)] if lines else []
 

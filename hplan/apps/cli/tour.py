@@ -93,7 +93,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
         help="one CSV for the tour, or one for each fruit, from rest to rest (default: one)",
     )
     add("--standoff", type=float, metavar="M", help="length of the straight approaches in metres (default: 0.1)")
-    add_shared(parser, "capture", "pace", "tracking", "deadline", "seed", "mcap", "quiet")
+    add_shared(parser, "detour", "capture", "pace", "tracking", "deadline", "seed", "mcap", "quiet")
     return parser
 
 
@@ -163,9 +163,12 @@ def _tour_options(arguments: argparse.Namespace) -> TourOptions:
             drop = Goal.model_validate(parts, strict=False)
         except ValueError as error:
             raise OptionError(f"--{option.replace('_', '-')}", values, expected) from error
-    chosen = {option: getattr(arguments, option) for option in ("every", "back", "order", "compare", "grasps")}
+    chosen = {option: getattr(arguments, option) for option in _OPTIONS}
     return TourOptions(drop_off=drop, stops=arguments.csv == "each", **chosen)
 
+
+#: Options of the command that are fields of `TourOptions` under the same name.
+_OPTIONS = ("every", "back", "order", "compare", "grasps", "max_detour_s")
 
 #: Options of a drop-off, and the fields of a `Goal` that each one sets.
 _DROP_OFFS = {

@@ -20,8 +20,9 @@ gust of three standard deviations, comes within 50 mm of the arm, and only aroun
 hang likewise. Others are rigid and at rest, can be touched, and touches are counted (`held_contacts`). `--values
 moves_all=1` lets the limbs move all the time.
 
-With `--values sway=3` certificates also cover the equilibrium of limbs and fruit in such a gust; limbs in resonance
-move farther.
+With `--values sway=1` certificates also cover all equilibria of limbs and fruit between rest and such a gust, if these
+are more than `LEAST_SWAY_M` apart: the arm keeps clear of the volume that a limb sweeps, and does not push it. Limbs in
+resonance move farther.
 With `--values minutes=10` the base stops at random places around trees of the same kind until the motions and grips of
 a planner have taken that long; `--values stops=3` ends after the first three places, the same for all planners, and
 `stops=200,300` tries the hundred from number 200 on.
@@ -36,7 +37,9 @@ import math
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from studies.harness import Row, Study, StudyConfig, evenly_chosen
@@ -58,8 +61,10 @@ from hplan.planning.reachable import FruitReach, reachable
 from hplan.robot.model import Robot
 from hplan.scene.limb_contacts import limbs_of
 from hplan.scene.model import Goal, Scene, Start, with_limbs
+from hplan.scene.obstacle_kind import Item, transform_fields
 from hplan.scene.obstacles import Capsule
 from hplan.scene.orchard import MeasuredOptions, measured_orchard
+from hplan.scene.tracks import Sway
 from hplan.scene.wood import Wood
 from hplan.tour.tour import TourResult, plan_tour
 
@@ -94,8 +99,13 @@ _NEAR_ROWS = 20
 #: Newton steps to the equilibrium of trees in wind.
 SWAY_STEPS = 20
 
+#: Limbs and fruit that a gust displaces by less may be pushed as in still air [m].
+LEAST_SWAY_M = 0.005
+
 #: Clearance of the recipe [m], and the CPU time to find each path [s].
 PADDING_M, PATIENCE_S = 0.01, 3.0
+
+_Item = TypeVar("_Item", bound=Item)
 
 
 @dataclass(frozen=True)
@@ -288,8 +298,9 @@ def _at_stop(config: StudyConfig, trial: Trial, stop: int | None) -> Row:
     seen = errors.seen_scene(scene, random)
     wind_seed = config.seed + trial.number + 1000 * (stop or 0)
     wind = Wind(speed_m_s=config.values.get("wind", (WIND_M_S,))[0], seed=wind_seed)
-    if "sway" in config.values:
-        seen = _swaying(seen, _sway(scene, wind, config.values["sway"][0]))
+    sway = cache(lambda: _sway(scene, wind))
+    if config.values.get("sway", (0.0,))[0]:
+        seen = _swaying(robot, seen, sway())
     if trial.planner == PLANNERS[0]:
         work = _plan_tour(config, robot, seen)
     else:
@@ -300,28 +311,44 @@ def _at_stop(config: StudyConfig, trial: Trial, stop: int | None) -> Row:
         return row
     plant = Plant(mass_factor=errors.mass_factor(random), bandwidth=BANDWIDTH, decoupled=True)
     moves_all = bool(config.values.get("moves_all", (0.0,))[0])
-    done, executed_ms = timed(lambda: _execute(robot, scene, work, plant, wind, moves_all=moves_all))
+    moved = {name: float(np.linalg.norm(by)) for name, by in sway().items()}
+    done, executed_ms = timed(lambda: _execute(robot, scene, work, plant, wind, moved, moves_all=moves_all))
     row |= done | {"executed_s": 1e-3 * executed_ms}
     is_harmful = row["broken"] or row["knocked_off"] or row["rigid_contacts"]
     is_far_off = row["tracking_mrad"] > 1e3 * _tracking(config)
     return row | {"fault": work.certified and bool(is_harmful or is_far_off)}
 
 
-def _swaying(seen: Scene, sway: Mapping[str, float]) -> Scene:
-    """The seen scene, whose standard deviations also cover displacements of limbs and fruit [m]."""
-    obstacles, fruits = (
-        tuple(
-            item.copy_unchecked({"sigma": item.sigma + sway[item.name] / SIGMAS}) if item.name in sway else item
-            for item in items
-        )
-        for items in (seen.obstacles, seen.fruits)
-    )
-    return seen.with_values(obstacles=obstacles, fruits=fruits)
+def _swaying(robot: Robot, seen: Scene, sway: Mapping[str, FloatArray]) -> Scene:
+    """The seen scene, with limbs and fruit that sway between their places and displaced ones.
+
+    Those that swing against the robot's base stay where they are.
+
+    Args:
+        robot: The robot.
+        seen: The scene.
+        sway: (3,) displacements by name [m].
+    """
+
+    def swept(item: _Item) -> _Item:
+        moved = 0.5 * sway.get(item.name, np.zeros(3))
+        amplitude = float(np.linalg.norm(moved))
+        if 2.0 * amplitude < LEAST_SWAY_M:
+            return item
+        fields = transform_fields(item, np.eye(3), moved)
+        return item.copy_unchecked(fields | {"sway": Sway(direction=tuple(moved.tolist()), amplitude_m=amplitude)})
+
+    whole = seen.with_values(obstacles=tuple(map(swept, seen.obstacles)), fruits=tuple(map(swept, seen.fruits)))
+    inside = sway.keys() & {contact.obstacle for contact in base_contacts(robot, whole.solids)}
+    return _swaying(robot, seen, {name: sway[name] for name in sway.keys() - inside}) if inside else whole
 
 
-def _sway(scene: Scene, wind: Wind, sigmas: float) -> dict[str, float]:
-    """Largest displacement of each limb and fruit in equilibrium with a gust of some standard deviations [m]."""
-    wind = replace(wind, speed_m_s=wind.speed_m_s * (1.0 + sigmas * wind.intensity), intensity=0.0)
+def _sway(scene: Scene, wind: Wind) -> dict[str, FloatArray]:
+    """(3,) displacement of each limb and fruit in equilibrium with a gust of `SIGMAS` standard deviations [m].
+
+    Of a limb it is that of the end which moves farther.
+    """
+    wind = replace(wind, speed_m_s=wind.speed_m_s * (1.0 + SIGMAS * wind.intensity), intensity=0.0)
     mujoco, wood = import_mujoco(), scene.wood or Wood()
     limbs, spec = limbs_of(scene.obstacles, wood), mujoco.MjSpec()
     # With implicit damping, steps of this length are Newton's steps to the equilibrium [s].
@@ -343,19 +370,27 @@ def _sway(scene: Scene, wind: Wind, sigmas: float) -> dict[str, float]:
     for _ in range(SWAY_STEPS):
         monitor.blow()
         mujoco.mj_step(model, data)
-    moved, found = np.linalg.norm(ends() - rest, axis=2).max(axis=0), dict[str, float]()
-    for name, distance in zip(bodies.obstacle_of.values(), moved.tolist(), strict=True):
-        found[name] = max(found.get(name, 0.0), distance)
+    moved, found = ends() - rest, dict[str, FloatArray]()
+    for name, both in zip(bodies.obstacle_of.values(), moved.swapaxes(0, 1), strict=True):
+        found[name] = max(*both, found.get(name, np.zeros(3)), key=np.linalg.norm)
     return found
 
 
-def _execute(robot: Robot, scene: Scene, work: _Work, plant: Plant, wind: Wind, *, moves_all: bool) -> Row:
+def _execute(
+    robot: Robot, scene: Scene, work: _Work, plant: Plant, wind: Wind, sway: Mapping[str, float], *, moves_all: bool
+) -> Row:
     """Execute a motion among trees that bend in the wind, and take the fruit that the gripper reaches.
 
     Args:
+        robot: The robot.
+        scene: The true scene.
+        work: The motion.
+        plant: The arm's dynamics.
+        wind: The wind.
+        sway: Displacement of each limb and fruit in a strong gust [m].
         moves_all: True to let limbs and fruit that the arm comes near to move all the time, not only while it is near.
     """
-    near = find_near(robot, scene, work.position[::_NEAR_ROWS], _sway(scene, wind, SIGMAS))
+    near = find_near(robot, scene, work.position[::_NEAR_ROWS], sway)
     arm = SimulatedArm(robot, scene, plant, trees=BendingTrees(wind=wind), bending=near, substeps=SUBSTEPS)
     monitor = arm.trees
     assert monitor is not None

@@ -27,6 +27,7 @@ from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
 from hplan.apps.execution.wind import Wind
 from hplan.errors import InputError
 from hplan.planning.failures import REASONS
+from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
 from hplan.scene.wood import Wood
@@ -340,18 +341,27 @@ def test_a_trial_of_minutes_sums_up_its_stops(monkeypatch: pytest.MonkeyPatch) -
     assert (later["stops"], later["limb_force_n"]) == (3, 4.0)
 
 
-def test_sway_of_a_limb_in_steady_wind_is_that_of_a_cantilever() -> None:
+def test_sway_of_a_limb_in_a_gust_is_that_of_a_cantilever(robot: Robot) -> None:
     pytest.importorskip("mujoco", reason="the extra `execution` is not installed")
     trunk = Capsule(name="trunk", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, 3.0), radius=0.03)
-    shoot = Capsule(name="shoot", start=(0.0, 0.0, 1.0), end=(0.0, 0.8, 1.0), radius=0.005, parent="trunk")
+    shoot = Capsule(name="shoot", start=(0.0, 0.0, 1.0), end=(0.0, 0.8, 1.0), radius=0.003, parent="trunk")
     rest = Start(joints_deg=(0.0,)), Goal(joints_deg=(0.0,))
     scene = Scene(name="tree", start=rest[0], goal=rest[1], obstacles=(trunk, shoot), wood=Wood())
-    sway = wood_trial._sway(scene, Wind(speed_m_s=1.0, intensity=0.5, leaf_width_m=0.02), 2.0)
-    load = 0.5 * 1.2 * 2.0**2 * (2.0 * 0.005 + 0.02)  # newton per metre
-    rigidity = 5e9 * 0.25 * math.pi * 0.005**4
-    assert sway["shoot"] == pytest.approx(load * 0.8**4 / (8.0 * rigidity), rel=0.05)
-    seen = wood_trial._swaying(scene, sway)
-    assert [3.0 * item.sigma for item in seen.obstacles] == pytest.approx([0.0, sway["shoot"]])
+    sway = wood_trial._sway(scene, Wind(speed_m_s=1.0, intensity=1.0 / 3.0, leaf_width_m=0.02))
+    load = 0.5 * 1.2 * 2.0**2 * (2.0 * 0.003 + 0.02)  # newton per metre
+    rigidity = 5e9 * 0.25 * math.pi * 0.003**4
+    assert sway["shoot"] == pytest.approx([load * 0.8**4 / (8.0 * rigidity), 0.0, 0.0], rel=0.05, abs=1e-3)
+
+    # It sweeps all places between its own and the displaced one.
+    away = scene.shift((1.0, 0.0, 0.0))
+    trunk, shoot = wood_trial._swaying(robot, away, sway).obstacles
+    assert trunk == away.obstacles[0]
+    assert shoot.sway is not None
+    ends = np.array([[1.0, 0.0, 1.0], [1.0, 0.8, 1.0]])
+    np.testing.assert_allclose(shoot.core - shoot.sway.reach, ends, atol=1e-9)
+    np.testing.assert_allclose(shoot.core + shoot.sway.reach, ends + sway["shoot"], atol=1e-9)
+    # One that swings against the robot's base stays where it is.
+    assert wood_trial._swaying(robot, scene, {"shoot": np.array([0.0, 0.0, -0.9])}).obstacles == scene.obstacles
 
 
 class _Placed(SimpleNamespace):

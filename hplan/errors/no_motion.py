@@ -193,7 +193,7 @@ class DetourError(HplanError):
         >>> from hplan.errors import DetourError
         >>> error = DetourError(7.25, 3.0)
         >>> error.adds_s, error.allowed_s, error.message
-        (7.25, 3.0, 'it would lengthen the tour by 7.25 s, of the allowed 3 s')
+        (7.25, 3.0, 'it would lengthen the tour by 7.25 s; 3 s are allowed')
     """
 
     exit_status = 3
@@ -201,7 +201,7 @@ class DetourError(HplanError):
     allowed_s: float
 
     def __init__(self, adds_s: float, allowed_s: float) -> None:
-        message = f"it would lengthen the tour by {adds_s:.3g} s, of the allowed {allowed_s:.3g} s"
+        message = f"it would lengthen the tour by {adds_s:.3g} s; {allowed_s:.3g} s are allowed"
         super().__init__(message, adds_s=adds_s, allowed_s=allowed_s)
 
 

@@ -20,9 +20,9 @@ gust of three standard deviations, comes within 50 mm of the arm, and only aroun
 hang likewise. Others are rigid and at rest, can be touched, and touches are counted (`held_contacts`). `--values
 moves_all=1` lets the limbs move all the time.
 
-With `--values sway=1` certificates also cover all equilibria of limbs and fruit between rest and such a gust, if these
-are more than `LEAST_SWAY_M` apart: the arm keeps clear of the volume that a limb sweeps, and does not push it. Limbs in
-resonance move farther.
+With `--values sway=1` certificates also cover limbs and fruit that such a gust displaces by more than `LEAST_SWAY_M`:
+the arm keeps clear of the volume that each sweeps along the displacement of its end that moves farther, and does not
+push it. Limbs in resonance move farther.
 With `--values minutes=10` the base stops at random places around trees of the same kind until the motions and grips of
 a planner have taken that long; `--values stops=3` ends after the first three places, the same for all planners, and
 `stops=200,300` tries the hundred from number 200 on.

@@ -116,7 +116,8 @@ class FinishedJob:
                 reached = [phase.end_s for phase in phases if phase.name != "retreat"]
                 picked |= {} if fruit is None else {fruit: reached[-1]}
                 return Playback(trajectory, picked, {}, phases, certificate, curve)
-            unpicked = {one["fruit"]: str(one.get("reason", "no_motion")) for one in self.report.get("unreached", ())}
+            unreached = {one["fruit"]: one.get("reason", "no_motion") for one in self.report.get("unreached", ())}
+            unpicked = {name: str(reason) for name, reason in unreached.items() if reason is not None}
             phases = []
             for leg in self.report["legs"]:
                 if leg["fruit"] is not None:

@@ -45,7 +45,8 @@ class Playback:
         arms: For several arms, the phases of each arm, by name.
         frames: For several arms, the tool frame of each arm, by name.
         pickers: For several arms, the name of the arm that picks each fruit.
-        unpicked: Reason of each fruit that a tour does not pick (`hplan.planning.failures.Reason`), by name.
+        unpicked: Reason of each fruit that a tour does not pick (`hplan.planning.failures.Reason`), by name, without
+            those left out.
         bodies: Motions of limbs and fruit, as of `hplan.apps.execution.simulation.execute`; None for a tree at rest.
         outcome: For a simulated motion True if all went well, and a sentence about it, in place of a certificate.
     """
@@ -129,7 +130,7 @@ def playable(result: Shown) -> tuple[Robot, Scene, Playback]:
     # A plan computes its picking time (`PlanResult.picked_fruit`); tours have theirs as a field.
     picked = getattr(given, "picked_fruit", getattr(given, "picked", {}))
     dropped = getattr(given, "dropped", {})
-    unpicked = {one.fruit: one.reason for one in getattr(given, "unreached", ())}
+    unpicked = {one.fruit: one.reason for one in getattr(given, "unreached", ()) if one.reason is not None}
     if not hasattr(result, "cell"):
         phases = getattr(given, "phases", ())
         motion = Playback(given.trajectory, picked, dropped, phases, given.certificate, unpicked=unpicked)

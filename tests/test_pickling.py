@@ -67,6 +67,7 @@ SAMPLES = [
     errors.StartStateError("elbow", "velocity", 9.0, 1.5, "rad/s"),
     errors.NotOnMotionError("elbow", 0.68, 1e-3, 12.5),
     errors.UnavoidableContactError(["why"], 8, -0.01, [1.0]),
+    errors.DetourError(7.25, 3.0),
     errors.RunningMotionBlockedError(["why"], [1.0], None),
 ]
 

@@ -132,10 +132,11 @@ class Judge:
         >>> from hplan.apps.ros import to_joint_trajectory
         >>> robot, scene = load_robot(), load_scene("table-1")
         >>> message = to_joint_trajectory(plan(robot, scene).trajectory)
-        >>> Judge(robot, scene).judge(message).verified
+        >>> judge = Judge(robot, scene, JudgeOptions(limits=(), deadline_s=60.0))
+        >>> judge.judge(message).verified
         True
         >>> into_ball = {**message, "points": [message["points"][0], message["points"][-1]]}
-        >>> verdict = Judge(robot, scene, JudgeOptions(limits=())).judge(into_ball)
+        >>> verdict = judge.judge(into_ball)
         >>> verdict.verified, verdict.obstacle
         (False, 'ball')
     """
